@@ -1,0 +1,327 @@
+"""Run a policy on pinned episodes and keep what every episode gave.
+
+Episode k resets with `seed + k` and its policy state starts afresh, so a result depends neither on how many worlds
+run side by side nor on whether the id has a native batched environment.
+"""
+
+import math
+import sys
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+
+from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
+from agents.files import write_json
+from agents.policies import UnknownName, env_spec, load_policy, option_errors, registered_policies
+from agents.seeds import TEST_SEED
+from agents.statistics import STATISTICS, Interval, bootstrap_interval, iqm, mean
+
+if TYPE_CHECKING:
+    from aerograsp_env.interfaces import Policy
+
+MAX_WORLDS = 50  # worlds of the native batched environment stepped side by side, at most
+
+
+@dataclass(frozen=True)
+class EvaluationResult:
+    """What E episodes of one policy gave; all arrays are indexed by the episode k, which was reset with `seed + k`.
+
+    A metric that an episode did not report is NaN there, and makes the statistics over it NaN.
+    """
+
+    env_id: str
+    policy: str
+    seed: int
+    env_kwargs: Mapping[str, Any]
+    success: NDArray[np.bool_]  # (E,)
+    returns: NDArray[np.float64]  # (E,) undiscounted sums of rewards
+    lengths: NDArray[np.int64]  # (E,) steps
+    terminations: NDArray[np.str_]  # (E,) why the episode terminated, "" if it ran to its time limit
+    metrics: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)  # name → (E,), at the episode's end
+
+    @property
+    def episodes(self) -> int:
+        return len(self.success)
+
+    @property
+    def names(self) -> list[str]:
+        """The names that `values`, `iqm`, `mean` and `interval` take."""
+        return ["success", "returns", "lengths", *self.metrics]
+
+    def values(self, name: str) -> NDArray[np.float64]:
+        """(E,) per-episode values of "success" (0 or 1), "returns", "lengths" or a metric.
+
+        Raises:
+            UnknownName: no such name.
+        """
+        if name in self.metrics:
+            return self.metrics[name]
+        if name not in self.names:
+            raise UnknownName("metric", name, self.names)
+        return np.asarray(getattr(self, name), dtype=np.float64)
+
+    def mean(self, name: str) -> float:
+        """Mean over the episodes."""
+        return float(mean(self.values(name)))
+
+    def iqm(self, name: str) -> float:
+        """Interquartile mean over the episodes (Agarwal et al. 2021)."""
+        return float(iqm(self.values(name)))
+
+    def interval(
+        self, name: str, statistic: str = "iqm", level: float = 0.95, rng: np.random.Generator | int = 0
+    ) -> Interval:
+        """Percentile bootstrap interval of a statistic, "iqm" or "mean", over the episodes."""
+        if statistic not in STATISTICS:
+            raise UnknownName("statistic", statistic, STATISTICS)
+        return bootstrap_interval(self.values(name), rng, STATISTICS[statistic], level)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, for JSON; `from_dict` is its inverse."""
+        return {
+            "env_id": self.env_id,
+            "policy": self.policy,
+            "seed": self.seed,
+            "env_kwargs": dict(self.env_kwargs),
+            "success": self.success,
+            "returns": self.returns,
+            "lengths": self.lengths,
+            "terminations": self.terminations,
+            "metrics": dict(self.metrics),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "EvaluationResult":
+        """The result written by `to_dict`, also after a way through JSON (null is NaN).
+
+        Raises:
+            ValueError: a field is missing or the arrays differ in length.
+        """
+        try:
+            result = cls(
+                env_id=data["env_id"],
+                policy=data["policy"],
+                seed=data["seed"],
+                env_kwargs=data["env_kwargs"],
+                success=np.asarray(data["success"], dtype=np.bool_),
+                returns=np.asarray(data["returns"], dtype=np.float64),
+                lengths=np.asarray(data["lengths"], dtype=np.int64),
+                terminations=np.asarray(data["terminations"], dtype=np.str_),
+                metrics={name: np.asarray(values, dtype=np.float64) for name, values in data["metrics"].items()},
+            )
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"data: not an evaluation result: {error!r}") from error
+        arrays = (result.returns, result.lengths, result.terminations, *result.metrics.values())
+        if any(array.shape != (result.episodes,) for array in arrays):
+            raise ValueError(f"data: expected {result.episodes} episodes in every array")
+        return result
+
+
+def evaluate(
+    env_id: str,
+    policy: "Policy | str | Path",
+    episodes: int = 100,
+    seed: int = 0,
+    env_kwargs: Mapping[str, Any] | None = None,
+    progress: bool = False,
+    num_envs: int | None = None,
+) -> EvaluationResult:
+    """Run a policy for some episodes; episode k resets with `seed + k`.
+
+    Args:
+        env_id: a registered id.
+        policy: an object with `predict`, or what `load_policy` takes.
+        episodes: number of episodes E ≥ 1.
+        seed: of episode 0; reported figures use `agents.seeds.TEST_SEED`.
+        env_kwargs: options of the environment; `max_episode_steps` too.
+        progress: show a bar, if standard error is a terminal.
+        num_envs: worlds side by side; 1 forces the single environment. By default as many as divide the work well,
+            at most 50, where the id has a native batched environment, and else 1. The result is the same.
+
+    Raises:
+        ValueError: unknown id, policy or option; a number out of range; an action of the wrong shape.
+    """
+    spec = env_spec(env_id)
+    for name, value, least in (
+        ("episodes", episodes, 1),
+        ("seed", seed, 0),
+        ("num_envs", 1 if num_envs is None else num_envs, 1),
+    ):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise ValueError(f"{name}: expected an integer of at least {least}, got {value!r}")
+    kwargs = dict(env_kwargs or {})
+    named = isinstance(policy, str | Path)
+    actor: Any = load_policy(env_id, policy, kwargs) if isinstance(policy, str | Path) else policy
+    if num_envs is None:
+        native = spec.vector_entry_point is not None
+        num_envs = math.ceil(episodes / math.ceil(episodes / MAX_WORLDS)) if native else 1
+    env = make_worlds(env_id, min(num_envs, episodes), kwargs)
+    try:
+        log = _run(env, actor, episodes, int(seed), progress, str(policy) if named else type(actor).__name__)
+    finally:
+        env.close()
+    return EvaluationResult(
+        env_id=env_id,
+        policy=str(policy) if named else type(actor).__name__,
+        seed=int(seed),
+        env_kwargs=kwargs,
+        **log,
+    )
+
+
+def make_worlds(env_id: str, num_envs: int, env_kwargs: Mapping[str, Any]) -> VectorEnv:
+    """N worlds behind one interface: the native batched environment if N > 1 and there is one, else single ones.
+
+    Raises:
+        UnknownName: no such id.
+        ValueError: the environment does not take these options (UnknownName if it has none of that name).
+    """
+    spec = env_spec(env_id)
+    native = num_envs > 1 and spec.vector_entry_point is not None
+    options = dict(env_kwargs) if native else {"disable_env_checker": True, **env_kwargs}
+    with option_errors(spec):
+        env = gymnasium.make_vec(
+            env_id, num_envs=num_envs, vectorization_mode="vector_entry_point" if native else "sync", **options
+        )
+    if env.metadata.get("autoreset_mode") is not AutoresetMode.NEXT_STEP:
+        env.close()
+        raise ValueError(f"{env_id}: expected autoreset_mode NEXT_STEP, got {env.metadata.get('autoreset_mode')}")
+    return env
+
+
+def _run(env: VectorEnv, policy: Any, episodes: int, seed: int, progress: bool, label: str) -> dict[str, Any]:
+    from tqdm import tqdm
+
+    worlds = env.num_envs
+    action_shape = env.single_action_space.shape or ()
+    success = np.zeros(episodes, dtype=np.bool_)
+    returns = np.zeros(episodes)
+    lengths = np.zeros(episodes, dtype=np.int64)
+    terminations: list[str] = [""] * episodes
+    metrics: dict[str, NDArray[np.float64]] = {}
+    state = None  # carried from chunk to chunk: episode_start restarts its rows
+    with tqdm(total=episodes, desc=label, unit="episode", leave=False, disable=None if progress else True) as bar:
+        for first in range(0, episodes, worlds):
+            observation, _ = env.reset(seed=seed + first)
+            running = np.arange(first, first + worlds) < episodes  # the last chunk may have idle worlds
+            start = np.ones(worlds, dtype=np.bool_)
+            while running.any():
+                action, state = policy.predict(observation, state=state, episode_start=start, deterministic=True)
+                if np.shape(action) != (worlds, *action_shape):
+                    raise ValueError(
+                        f"policy {label}: expected actions of shape {(worlds, *action_shape)}, got {np.shape(action)}"
+                    )
+                observation, reward, terminated, truncated, info = env.step(action)
+                start = np.zeros(worlds, dtype=np.bool_)
+                ended = running & (terminated | truncated)
+                k = first + np.flatnonzero(running)
+                returns[k] += reward[running]
+                lengths[k] += 1
+                for world in np.flatnonzero(ended):
+                    k = first + world
+                    success[k] = bool(_entry(info, "success", world, False))
+                    terminations[k] = str(_entry(info, "termination", world, "")) if terminated[world] else ""
+                    for name, value in _entries(info.get("metrics", {}), world):
+                        metrics.setdefault(name, np.full(episodes, np.nan))[k] = value
+                running &= ~ended  # a world that has ended starts another episode, which nobody records
+                bar.update(int(ended.sum()))
+    return {
+        "success": success,
+        "returns": returns,
+        "lengths": lengths,
+        "terminations": np.array(terminations, dtype=np.str_),
+        "metrics": metrics,
+    }
+
+
+def _entry(info: Mapping[str, Any], key: str, world: int, default: Any) -> Any:
+    """One world's value of a batched info (Gymnasium's convention: a mask `_key` tells who has it)."""
+    if key not in info or not info.get(f"_{key}", np.ones(world + 1, dtype=np.bool_))[world]:
+        return default
+    return info[key][world]
+
+
+def _entries(info: Mapping[str, Any], world: int) -> list[tuple[str, float]]:
+    names = [name for name in info if not (name.startswith("_") and name[1:] in info)]
+    return [(name, float(_entry(info, name, world, np.nan))) for name in names]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One episode, step by step."""
+
+    policy: str
+    time: NDArray[np.float64]  # (T,) [s]
+    error: NDArray[np.float64]  # (T,) [m] norm of the position error that the policy observed
+
+
+def trace(
+    env_id: str, policy: "Policy | str | Path", seed: int = TEST_SEED, env_kwargs: Mapping[str, Any] | None = None
+) -> Trace:
+    """The observed position error over one pinned episode, for plots.
+
+    Raises:
+        ValueError: as `evaluate`; or the id has no observation "position_error".
+    """
+    kwargs = dict(env_kwargs or {})
+    actor: Any = load_policy(env_id, policy, kwargs) if isinstance(policy, str | Path) else policy
+    env = make_worlds(env_id, 1, kwargs)
+    try:
+        observation, _ = env.reset(seed=seed)
+        if not isinstance(observation, dict) or "position_error" not in observation:
+            raise ValueError(f"{env_id}: has no observation 'position_error' to trace")
+        dt = float(getattr(env.envs[0].unwrapped, "dt", 1.0))  # type: ignore[attr-defined]
+        errors, state, start, done = [], None, np.ones(1, dtype=np.bool_), False
+        while not done:
+            errors.append(float(np.linalg.norm(observation["position_error"])))
+            action, state = actor.predict(observation, state=state, episode_start=start, deterministic=True)
+            observation, _, terminated, truncated, _ = env.step(action)
+            start, done = np.zeros(1, dtype=np.bool_), bool(terminated[0] or truncated[0])
+    finally:
+        env.close()
+    return Trace(str(policy), dt * np.arange(len(errors)), np.array(errors))
+
+
+def main(argv: list[str]) -> int:
+    """`aerograsp eval ID`."""
+    from agents.provenance import provenance
+    from agents.report import Row, table_text
+
+    parser = Parser(prog="aerograsp eval", description="Evaluate policies on pinned episodes.")
+    parser.add_argument("id", metavar="ID", help="environment, e.g. aerograsp/Dock-v0")
+    add_policy(parser, default="the first analytic policy of the id")
+    add_episodes(parser)
+    add_seed(parser, TEST_SEED)
+    add_env_kwargs(parser)
+    parser.add_argument("--num-envs", metavar="N", type=int, default=None, help="worlds side by side; the same result")
+    add_json(parser)
+    args = parser.parse_args(argv)
+    env_spec(args.id)
+    names = args.policies or list(registered_policies(args.id))[:1] or ["zero"]
+    if args.json and args.json != "-" and not Path(args.json).absolute().parent.is_dir():
+        raise FileNotFoundError(f"--json: no such folder: {Path(args.json).absolute().parent}")
+    policies = [(name, load_policy(args.id, name, args.env_kwargs)) for name in names]  # refuse all before running any
+    results = []
+    for name, policy in policies:
+        began = time.perf_counter()
+        result = evaluate(args.id, policy, args.episodes, args.seed, args.env_kwargs, True, args.num_envs)
+        results.append(EvaluationResult.from_dict({**result.to_dict(), "policy": name}))
+        print(f"{name}: {args.episodes} episodes in {time.perf_counter() - began:.1f} s", file=sys.stderr)
+    if args.json != "-":
+        print(table_text([Row.of(result) for result in results]))
+    if args.json:
+        write_json(args.json, {"provenance": provenance(argv), "results": [result.to_dict() for result in results]})
+    return 0
+
+
+if __name__ == "__main__":
+    warnings.filterwarnings("ignore", message=".*found in sys.modules.*", category=RuntimeWarning)
+    sys.exit(guarded("aerograsp eval", main, sys.argv[1:]))

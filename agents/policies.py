@@ -1,0 +1,285 @@
+"""Policies by name: zero, random, the analytic ones, shipped checkpoints, weight files and user factories.
+
+Nothing here imports torch: checkpoints are handed to `agents.network_policy` when they are loaded.
+"""
+
+import difflib
+import importlib
+import inspect
+import json
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from gymnasium.envs.registration import EnvSpec, load_env_creator
+from gymnasium.spaces import Box, Dict, Space
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from aerograsp_env.interfaces import Policy
+
+NAMESPACE = "aerograsp/"
+CHECKPOINTS = Path(__file__).parent / "checkpoints"
+TRIVIAL = ("zero", "random")
+LEARNED = ("ppo", "ppo-residual")
+
+
+class UnknownName(ValueError):
+    """An id, a policy or another name that does not exist; the message lists the names that do."""
+
+    def __init__(self, what: str, name: str, valid: Iterable[str]) -> None:
+        names = list(valid)
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+        super().__init__(f"unknown {what} {name!r}; {hint}valid: {', '.join(names) or 'none'}")
+
+
+class PolicyUnavailable(ValueError):
+    """A policy that is known by name but cannot be loaded here: no checkpoint, or an extra is not installed."""
+
+
+def env_ids() -> list[str]:
+    """All ids of this project, sorted."""
+    importlib.import_module("aerograsp_env")  # registers them
+    return sorted(id for id in gymnasium.registry if id.startswith(NAMESPACE))
+
+
+def env_spec(env_id: str) -> EnvSpec:
+    """The registered specification of any id (other projects' ids too).
+
+    Raises:
+        UnknownName: not registered.
+    """
+    ids = env_ids()
+    if env_id not in gymnasium.registry:
+        raise UnknownName("id", str(env_id), ids)
+    return gymnasium.registry[env_id]
+
+
+@contextmanager
+def option_errors(spec: EnvSpec) -> Iterator[None]:
+    """Turns Python's complaint about an unknown environment option into an `UnknownName` that lists the options."""
+    try:
+        yield
+    except TypeError as error:
+        unexpected = re.search(r"unexpected keyword argument '(\w+)'", str(error))
+        if unexpected is None or spec.entry_point is None:
+            raise
+        creator = spec.entry_point if callable(spec.entry_point) else load_env_creator(spec.entry_point)
+        valid = [*inspect.signature(creator).parameters, "max_episode_steps"]
+        raise UnknownName(f"option of {spec.id}", unexpected[1], valid) from error
+
+
+def registered_policies(env_id: str) -> dict[str, str]:
+    """The analytic policies of an id: name → "module:factory"; empty for ids of other projects."""
+    from baselines.policies import POLICIES
+
+    return dict(POLICIES.get(env_id, {}))
+
+
+def policy_names(env_id: str) -> list[str]:
+    """Every name that `load_policy` takes for this id, paths and factories aside."""
+    env_spec(env_id)
+    return [*TRIVIAL, *registered_policies(env_id), *checkpoints(env_id)]
+
+
+def checkpoints(env_id: str) -> dict[str, Path]:
+    """Shipped checkpoints by name: every training seed ("ppo-seed0"), and "ppo" for the best of its seeds.
+
+    The best has the lowest "validation_error" [m] in its JSON card (measured on validation seeds, never on test
+    seeds); cards without one come last, in order of their names.
+    """
+    prefix = env_id.removeprefix(NAMESPACE).replace("/", "-").lower() + "-"
+    found = {path.stem.removeprefix(prefix): path for path in sorted(CHECKPOINTS.glob(f"{prefix}*.safetensors"))}
+    for kind in LEARNED:
+        seeds = [path for name, path in found.items() if re.fullmatch(rf"{kind}-seed\d+", name)]
+        if seeds and kind not in found:
+            found[kind] = min(seeds, key=_validation_error)
+    return dict(sorted(found.items()))
+
+
+def _validation_error(path: Path) -> float:
+    try:
+        error = json.loads(path.with_suffix(".json").read_text()).get("validation_error")
+    except (OSError, ValueError):
+        return float("inf")
+    return float(error) if isinstance(error, int | float) else float("inf")
+
+
+def load_policy(env_id: str, name_or_path: str | Path, env_kwargs: Mapping[str, Any] | None = None) -> "Policy":
+    """The policy of an id by name.
+
+    Args:
+        env_id: a registered id.
+        name_or_path: "zero"; "random"; an analytic policy of the id, e.g. "pid"; a shipped checkpoint, e.g. "ppo" or
+            "ppo-seed1"; the path of a .safetensors file; or "module:function", a factory without arguments.
+        env_kwargs: the environment's options, where they change its spaces ("zero" and "random" look at them).
+
+    Raises:
+        UnknownName: no such id or name; lists the nearest and all valid ones.
+        PolicyUnavailable: no checkpoint is shipped under that name, or the `learn` extra is missing.
+        FileNotFoundError: no such .safetensors file.
+    """
+    spec = env_spec(env_id)
+    name = str(name_or_path)
+    if name in TRIVIAL:
+        action_space, observation_space = _spaces(spec, env_kwargs or {})
+        if name == "zero":
+            return ZeroPolicy(action_space, observation_space)
+        return RandomPolicy(action_space, observation_space)
+    registered = registered_policies(env_id)
+    if name in registered:
+        return _from_factory(registered[name])
+    if name.endswith(".safetensors"):
+        return _from_checkpoint(Path(name))
+    shipped = checkpoints(env_id)
+    if name in shipped:
+        return _from_checkpoint(shipped[name])
+    if name in LEARNED:
+        raise PolicyUnavailable(
+            f"policy {name!r}: no checkpoint is shipped for {env_id}; train one and pass its .safetensors path"
+        )
+    if re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", name):
+        return _from_factory(name)
+    raise UnknownName(
+        f"policy of {env_id}", name, [*TRIVIAL, *registered, *shipped, "PATH.safetensors", "module:function"]
+    )
+
+
+def _from_factory(path: str) -> "Policy":
+    module_name, _, attribute = path.partition(":")
+    if "" not in sys.path and str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # a console script does not look in the working directory, `python -m` does
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            raise PolicyUnavailable(f"policy {path!r}: {error}") from error  # a dependency of the module
+        raise ValueError(f"policy {path!r}: no module {module_name!r}, neither installed nor in this folder") from error
+    if not hasattr(module, attribute):
+        public = [name for name in vars(module) if not name.startswith("_") and callable(getattr(module, name))]
+        raise UnknownName(f"function of module {module_name!r}", attribute, public)
+    policy = getattr(module, attribute)()
+    if not callable(getattr(policy, "predict", None)):
+        raise ValueError(
+            f"policy {path!r}: expected a factory of an object with predict(), it made a {type(policy).__name__}"
+        )
+    return policy
+
+
+def _from_checkpoint(path: Path) -> "Policy":
+    if not path.is_file():
+        raise FileNotFoundError(f"policy: no such file: {path}")
+    try:
+        from agents.network_policy import load_network_policy
+    except ModuleNotFoundError as error:
+        raise PolicyUnavailable(f"policy {path.name!r}: {error}; install the extra: aerograsp[learn]") from error
+    return load_network_policy(path)
+
+
+def _spaces(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> tuple[Space, Space]:
+    with option_errors(spec):
+        env = gymnasium.make(spec.id, disable_env_checker=True, **env_kwargs)
+    try:
+        return env.action_space, env.observation_space
+    finally:
+        env.close()
+
+
+def batch_size(observation: Any, space: Space) -> int | None:
+    """Number of rows N of a batched observation, None for a single one.
+
+    Raises:
+        ValueError: neither one observation of `space` nor a batch of them.
+    """
+    if isinstance(space, Dict):
+        key = next(iter(space.spaces))
+        return batch_size(observation[key], space[key])
+    shape, expected = np.shape(observation), space.shape or ()
+    if shape == expected:
+        return None
+    if shape[1:] == expected:
+        return shape[0]
+    raise ValueError(f"observation: expected shape {expected} or (N, *{expected}), got {shape}")
+
+
+class ZeroPolicy:
+    """The null row: always the action 0, clipped into the action space."""
+
+    def __init__(self, action_space: Space, observation_space: Space) -> None:
+        space = _bounded(action_space)
+        self._observation_space = observation_space
+        self._action = np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
+
+    def predict(
+        self,
+        observation: Any,
+        state: None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray, None]:
+        rows = batch_size(observation, self._observation_space)
+        return (self._action.copy() if rows is None else np.tile(self._action, (rows, *[1] * self._action.ndim))), None
+
+
+class RandomState(NamedTuple):
+    """Where each row stands in its own random stream."""
+
+    episode: NDArray[np.uint64]  # (N,) number of the row's episode
+    step: NDArray[np.uint64]  # (N,) steps taken in it
+    episodes: int  # started so far
+
+
+class RandomPolicy:
+    """Uniform actions. Row by row its own counter-based stream (Salmon et al. 2011, Philox), keyed by (seed, episode).
+
+    Episodes are numbered in the order in which they start, rows in order, so that the actions of episode k do not
+    depend on how many rows run side by side. All state is in what `predict` returns.
+    """
+
+    def __init__(self, action_space: Space, observation_space: Space, seed: int = 0) -> None:
+        if seed < 0:
+            raise ValueError(f"seed: expected a non-negative integer, got {seed!r}")
+        self._space = _bounded(action_space)
+        self._observation_space = observation_space
+        self._seed = seed
+
+    def predict(
+        self,
+        observation: Any,
+        state: RandomState | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray, RandomState]:
+        rows = batch_size(observation, self._observation_space)
+        state = self._restart(rows or 1, state, episode_start)
+        space = self._space
+        actions = np.stack(
+            [self._stream(*key).uniform(space.low, space.high) for key in zip(state.episode, state.step, strict=True)]
+        ).astype(space.dtype)
+        return (actions[0] if rows is None else actions), state._replace(step=state.step + np.uint64(1))
+
+    def _restart(self, rows: int, state: RandomState | None, episode_start: NDArray[np.bool_] | None) -> RandomState:
+        if state is None:
+            return RandomState(np.arange(rows, dtype=np.uint64), np.zeros(rows, dtype=np.uint64), rows)
+        if episode_start is None:
+            return state
+        starts = np.broadcast_to(np.asarray(episode_start, dtype=bool), (rows,))
+        episode = state.episode.copy()
+        episode[starts] = np.arange(state.episodes, state.episodes + starts.sum(), dtype=np.uint64)
+        return RandomState(episode, np.where(starts, np.uint64(0), state.step), state.episodes + int(starts.sum()))
+
+    def _stream(self, episode: np.uint64, step: np.uint64) -> np.random.Generator:
+        # One step owns the 2⁶⁴ blocks that share the upper counter words.
+        return np.random.Generator(np.random.Philox(key=[self._seed, int(episode)], counter=[0, int(step), 0, 0]))
+
+
+def _bounded(space: Space) -> Box:
+    if not isinstance(space, Box) or not space.is_bounded():
+        raise ValueError(f"action space: expected a bounded Box, got {space}")
+    return space
