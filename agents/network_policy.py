@@ -1,0 +1,148 @@
+"""A trained actor in NumPy: inference without torch.
+
+The actor is the multi-layer perceptron that `agents.train` writes. Alone, its output is the action; a residual policy
+adds it to an analytic base policy's (Johannink et al. 2019, "Residual Reinforcement Learning for Robot Control"; Silver
+et al. 2018, "Residual Policy Learning"): action = clip(base + scale · clip(net, −1, 1), −1, 1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from aerograsp_env.wrappers import BASE_ACTION
+from agents.checkpoint import NetworkLayout, load_checkpoint
+from agents.policies import UnknownName, load_policy, registered_policies
+
+
+class NetworkPolicy:
+    """A perceptron over selected observation keys, with the signature of every policy here.
+
+    Args:
+        layout: what the network reads and how it is wired.
+        tensors: the arrays `layout.shapes()` lists (others are ignored).
+        base: the analytic policy a residual one corrects; required exactly when the layout's last key is "base_action".
+        scale: what the network's output is multiplied by before it is added to the base action.
+        seed: of the generator that `deterministic=False` draws from.
+        dtype: float64 or float32, what the network is computed in.
+    """
+
+    def __init__(
+        self,
+        layout: NetworkLayout,
+        tensors: Mapping[str, NDArray],
+        *,
+        base: Any | None = None,
+        scale: float = 1.0,
+        seed: int | None = None,
+        dtype: DTypeLike = np.float64,
+    ) -> None:
+        self.dtype = np.dtype(dtype)
+        if self.dtype not in (np.dtype(np.float64), np.dtype(np.float32)):
+            raise ValueError(f"dtype: expected float64 or float32, got {self.dtype}")
+        residual = layout.keys[-1] == BASE_ACTION
+        if residual != (base is not None):
+            raise ValueError(
+                f"base: expected {'a policy' if residual else 'None'} for keys {layout.keys}, got {base!r}"
+            )
+        for name, shape in layout.shapes().items():
+            found = tensors[name].shape if name in tensors else None
+            if found != shape:
+                raise ValueError(f"tensors: expected {name!r} of shape {shape}, got {found}")
+        self.layout = layout
+        self.base = base
+        self.scale = float(scale)
+        self._keys = layout.keys[:-1] if residual else layout.keys
+        self._weights = [self._cast(tensors[f"actor.{k}.weight"]).T.copy() for k in range(layout.layers)]
+        self._biases = [self._cast(tensors[f"actor.{k}.bias"]) for k in range(layout.layers)]
+        self._mean = self._cast(tensors["observation.mean"])
+        self._inverse_std = self._cast(1.0 / np.sqrt(tensors["observation.var"].astype(np.float64) + layout.epsilon))
+        self._std = np.exp(self._cast(tensors["log_std"]))
+        self._rng = np.random.default_rng(seed)
+
+    def predict(
+        self,
+        observation: Mapping[str, NDArray],
+        state: Any = None,
+        episode_start: NDArray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray, Any]:
+        """The action for one observation or a batch.
+
+        Args:
+            observation: key -> (size,) or (N, size).
+            state: what the last call returned: the base policy's state; None for a policy without a base.
+            episode_start: None or (N,) bool, true where the base policy's state restarts.
+            deterministic: the mean action, else one drawn with the trained standard deviation.
+
+        Returns:
+            action: (actions,) or (N, actions) float32 in [−1, 1], and the state for the next call.
+
+        Raises:
+            ValueError: a key is missing or of the wrong length.
+        """
+        parts = [self._part(observation, key, size) for key, size in zip(self._keys, self.layout.sizes, strict=False)]
+        base_action = None
+        if self.base is not None:
+            base_action, state = self.base.predict(observation, state, episode_start, True)
+            base_action = np.clip(self._cast(base_action), -1.0, 1.0)
+            parts.append(base_action)
+        # NumPy refuses to concatenate (N, a) with (b,), so a mixture of batched and single arrays cannot pass unseen.
+        x = (np.concatenate(parts, axis=-1) - self._mean) * self._inverse_std
+        x = np.clip(x, -self.layout.clip, self.layout.clip)
+        for weight, bias in zip(self._weights[:-1], self._biases[:-1], strict=True):
+            x = x @ weight + bias
+            x = np.tanh(x) if self.layout.activation == "tanh" else np.maximum(x, 0.0)
+        action = x @ self._weights[-1] + self._biases[-1]
+        if not deterministic:
+            action = action + self._std * self._rng.standard_normal(action.shape).astype(self.dtype)
+        action = np.clip(action, -1.0, 1.0)
+        if base_action is not None:
+            action = np.clip(base_action + self.scale * action, -1.0, 1.0)
+        return action.astype(np.float32), state
+
+    def _part(self, observation: Mapping[str, NDArray], key: str, size: int) -> NDArray:
+        if key not in observation:
+            raise ValueError(f"observation: expected the key {key!r}, got {', '.join(map(str, observation))}")
+        value = self._cast(observation[key])
+        if value.ndim not in (1, 2) or value.shape[-1] != size:
+            raise ValueError(f"observation[{key!r}]: expected shape ({size},) or (N, {size}), got {value.shape}")
+        return value
+
+    def _cast(self, value: Any) -> NDArray:
+        return np.asarray(value, dtype=self.dtype)
+
+
+def analytic_policy(env_id: str, name: str) -> Any:
+    """Build the analytic policy registered under `name` for `env_id`.
+
+    Raises:
+        UnknownName: no such policy; the message has the names there are.
+    """
+    names = registered_policies(env_id)
+    if name not in names:
+        raise UnknownName(f"analytic policy of {env_id}", name, names)
+    return load_policy(env_id, name)
+
+
+def load_network_policy(
+    path: str | Path, env_id: str | None = None, *, seed: int | None = None, dtype: DTypeLike = np.float64
+) -> NetworkPolicy:
+    """Load a policy from any checkpoint `agents.train` wrote (`best`, `latest` or exported).
+
+    A residual policy's base is looked up by the name on the card among the registered analytic policies only, so that a
+    file cannot name code to run.
+
+    Raises:
+        CheckpointError: not a whole checkpoint, or for another environment than `env_id`.
+        UnknownName: the base policy is not registered.
+    """
+    checkpoint = load_checkpoint(path, env_id)
+    base_card = checkpoint.card.get("base")
+    base = analytic_policy(base_card["env_id"], base_card["name"]) if base_card else None
+    scale = float(base_card["scale"]) if base_card else 1.0
+    return NetworkPolicy(checkpoint.network, checkpoint.tensors, base=base, scale=scale, seed=seed, dtype=dtype)

@@ -1,0 +1,149 @@
+"""Gymnasium's batched environments as Stable-Baselines3 knows them.
+
+The two vector interfaces differ: Gymnasium returns terminations, truncations and one dict of arrays; Stable-Baselines3
+wants resets within the step, `dones`, and a list of dicts with `terminal_observation`, `TimeLimit.truncated` and
+`episode`. Only finished worlds are looped over.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from aerograsp_env.wrappers import BASE_ACTION
+
+Observation = dict[str, NDArray]
+
+
+class SB3VecEnv(VecEnv):
+    """A `gymnasium.vector.VectorEnv` with Dict observations of vectors, behind Stable-Baselines3's `VecEnv`.
+
+    A residual policy's base goes around `venv`: `SB3VecEnv(ResidualActionVector(venv, policy, scale))`.
+
+    Args:
+        venv: the batched environment; its autoreset mode is SAME_STEP, or one whose `reset` takes
+            `options={"reset_mask": (N,) bool}` (Gymnasium's convention), which is then used to reset within the step.
+        keys: observation keys to concatenate, in this order, into one flat float32 vector; None keeps the Dict. A
+            residual's "base_action" is always read, and always last.
+
+    Raises:
+        ValueError: the spaces are not as described, or a key is unknown.
+    """
+
+    def __init__(self, venv: VectorEnv, keys: Sequence[str] | None = None) -> None:
+        single, action = venv.single_observation_space, venv.single_action_space
+        if not isinstance(single, spaces.Dict):
+            raise ValueError(f"venv: expected a Dict observation space, got {single}")
+        if not isinstance(action, spaces.Box) or not (np.all(action.low == -1) and np.all(action.high == 1)):
+            raise ValueError(f"venv: expected an action space Box(-1, 1), got {action}")
+        self.venv = venv
+        self.keys = _checked_keys(single.spaces if keys is None else keys, single)
+        self.sizes = {key: int(np.prod(single[key].shape or ())) for key in self.keys}
+        self._flat = keys is not None
+        observation_space: spaces.Space = single
+        if self._flat:
+            low, high = (np.concatenate([getattr(single[key], side) for key in self.keys]) for side in ("low", "high"))
+            observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        super().__init__(venv.num_envs, observation_space, action)
+        self._same_step = venv.metadata.get("autoreset_mode") == AutoresetMode.SAME_STEP
+        self._actions: NDArray = np.zeros((self.num_envs, *action.shape), np.float32)
+        self._returns = np.zeros(self.num_envs)
+        self._lengths = np.zeros(self.num_envs, dtype=np.int64)
+        self._start = time.monotonic()
+
+    def reset(self) -> NDArray | Observation:
+        """Start an episode in every world, world i with the i-th seed given to `seed()` if it was called."""
+        observation, _ = self.venv.reset(seed=self._seeds[0])
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
+        return self._to_learner(observation)
+
+    def step_async(self, actions: NDArray) -> None:
+        self._actions = actions
+
+    def step_wait(self) -> tuple[NDArray | Observation, NDArray, NDArray, list[dict[str, Any]]]:
+        observation, reward, terminated, truncated, info = self.venv.step(self._actions)
+        dones = np.logical_or(terminated, truncated)
+        self._returns += reward
+        self._lengths += 1
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if dones.any():
+            final, final_info, observation = self._split_final(observation, info, dones)
+            rows = self._to_learner(final)
+            for i in np.flatnonzero(dones):
+                infos[i] = {
+                    "terminal_observation": {k: v[i] for k, v in rows.items()} if isinstance(rows, dict) else rows[i],
+                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                    "episode": {
+                        "r": float(self._returns[i]),
+                        "l": int(self._lengths[i]),
+                        "t": round(time.monotonic() - self._start, 6),
+                    },
+                }
+                if "success" in final_info:
+                    infos[i]["is_success"] = bool(final_info["success"][i])
+            self._returns[dones] = 0.0
+            self._lengths[dones] = 0
+        return self._to_learner(observation), np.asarray(reward, np.float32), dones, infos
+
+    def _split_final(
+        self, observation: Any, info: Mapping[str, Any], dones: NDArray
+    ) -> tuple[Observation, Mapping[str, Any], Any]:
+        """The finished worlds' last observation (others: the current one) and info; every world's next observation."""
+        # Environments may reuse their buffers: the last observations are copied before a reset overwrites them.
+        final = {key: np.array(value) for key, value in observation.items()}
+        if not self._same_step:
+            fresh, _ = self.venv.reset(options={"reset_mask": dones})
+            return final, info, fresh
+        for i in np.flatnonzero(dones):
+            for key, rows in final.items():
+                rows[i] = info["final_obs"][i][key]
+        return final, info.get("final_info", info), observation
+
+    def _to_learner(self, observation: Any) -> NDArray | Observation:
+        if not self._flat:  # copied: the learner keeps this observation while the next step overwrites the buffers
+            return {key: np.array(value, np.float32) for key, value in observation.items()}
+        return np.concatenate([observation[key] for key in self.keys], axis=1).astype(np.float32, copy=False)
+
+    def close(self) -> None:
+        self.venv.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        return [getattr(self.venv, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        if indices is not None:
+            raise ValueError("indices: an attribute of a batched environment belongs to all its worlds; expected None")
+        setattr(self.venv, attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        result = getattr(self.venv, method_name)(*args, **kwargs)
+        return [result] * len(list(self._get_indices(indices)))
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
+        return [False] * len(list(self._get_indices(indices)))
+
+
+def _checked_keys(keys: Iterable[str], boxes: spaces.Dict) -> tuple[str, ...]:
+    """`keys`, and the base action last if there is one. ValueError where a key is unknown, repeated or not a vector."""
+    names = tuple(key for key in keys if key != BASE_ACTION)
+    if not names or len(set(names)) != len(names):
+        raise ValueError(f"keys: expected at least one key and none twice, got {', '.join(names) or 'none'}")
+    if BASE_ACTION in boxes.spaces:
+        names += (BASE_ACTION,)
+    for key in names:
+        if key not in boxes.spaces:
+            raise ValueError(f"keys: {key!r} is not in the observation; there are: {', '.join(boxes)}")
+        if not isinstance(boxes[key], spaces.Box) or len(boxes[key].shape or ()) != 1:
+            raise ValueError(f"keys: {key!r} is not a vector but {boxes[key]}")
+    return names

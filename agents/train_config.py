@@ -1,0 +1,171 @@
+"""The options of a training, typed, validated, and turned into command-line options."""
+
+import argparse
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields
+from types import MappingProxyType
+from typing import Any
+
+from agents.arguments import add_env_kwargs
+from agents.checkpoint import ACTIVATIONS
+
+
+def _option(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Hyper-parameters of PPO (Schulman et al. 2017) and of the run. A value out of range is a ValueError."""
+
+    steps: int = _option(1_000_000, "environment steps in all, over all worlds (a resumed run's earlier ones included)")
+    num_envs: int = _option(64, "worlds side by side")
+    seed: int = _option(0, "of the network, the sampling and the worlds")
+    keys: tuple[str, ...] = _option((), "observation keys the network reads, in this order; none: all")
+    residual: str | None = _option(None, "name of the analytic policy to correct; none: the network acts alone")
+    residual_scale: float = _option(0.3, "what the correction is multiplied by before it is added to the base action")
+    hidden: tuple[int, ...] = _option((64, 64), "widths of the hidden layers, of actor and critic each")
+    activation: str = _option("tanh", " or ".join(ACTIVATIONS))
+    log_std: float = _option(-1.0, "initial log standard deviation of the action")
+    learning_rate: float = _option(3e-4, "Adam's, at the start")
+    final_learning_rate: float = _option(0.0, "at the end; linear in between")
+    n_steps: int = _option(128, "steps a world and rollout")
+    batch_size: int = _option(2048, "minibatch size")
+    epochs: int = _option(10, "passes over a rollout")
+    gamma: float = _option(0.99, "discount factor a step")
+    gae_lambda: float = _option(0.95, "λ of the generalised advantage estimate")
+    clip_range: float = _option(0.2, "PPO's ε")
+    target_kl: float | None = _option(None, "stop an update's epochs beyond 1.5 times this KL divergence; none: never")
+    entropy: float = _option(0.0, "weight of the entropy bonus")
+    value_weight: float = _option(0.5, "weight of the value loss")
+    max_grad_norm: float = _option(0.5, "gradient clipping")
+    normalize_reward: bool = _option(False, "divide rewards by the running deviation of the return (training only)")
+    clip_observation: float = _option(10.0, "bound of the normalised observation")
+    checkpoint_every: int = _option(
+        500_000, "steps between checkpoints; the worlds restart there, so that resuming is exact"
+    )
+    eval_every: int = _option(500_000, "steps between evaluations on the validation seeds")
+    eval_episodes: int = _option(20, "episodes of an evaluation; 0: never evaluate")
+    metric: str = _option("error", "metric by which the best policy is kept (lower is better), or success, or return")
+    crash_penalty: float = _option(1.0, "added to the metric of an episode that crashes")
+    threads: int = _option(1, "torch's")
+    env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        for name in ("keys", "hidden"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        object.__setattr__(self, "env_kwargs", dict(self.env_kwargs))
+        at_least = {
+            1: ("steps", "num_envs", "n_steps", "epochs", "checkpoint_every", "eval_every", "threads"),
+            2: ("batch_size",),  # advantages are normalised within a minibatch
+            0: ("seed", "eval_episodes"),
+        }
+        for minimum, names in at_least.items():
+            for name in names:
+                value = getattr(self, name)
+                if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+                    raise ValueError(f"{name}: expected an integer of at least {minimum}, got {value!r}")
+        if not all(isinstance(width, int) and width > 0 for width in self.hidden):
+            raise ValueError(f"hidden: expected positive widths, got {self.hidden}")
+        if self.activation not in ACTIVATIONS:
+            raise ValueError(f"activation: expected {' or '.join(ACTIVATIONS)}, got {self.activation!r}")
+        for name in ("learning_rate", "clip_range", "max_grad_norm", "clip_observation", "residual_scale"):
+            self._check_number(name, math.ulp(0.0), math.inf)
+        for name in ("final_learning_rate", "entropy", "value_weight", "crash_penalty"):
+            self._check_number(name, 0.0, math.inf)
+        for name in ("gamma", "gae_lambda"):
+            self._check_number(name, 0.0, 1.0)
+        self._check_number("log_std", -20.0, 2.0)
+        if self.target_kl is not None:
+            self._check_number("target_kl", math.ulp(0.0), math.inf)
+        if (self.num_envs * self.n_steps) % self.batch_size:
+            raise ValueError(
+                f"batch_size: expected a divisor of num_envs * n_steps = {self.num_envs * self.n_steps}, "
+                f"got {self.batch_size}"
+            )
+        if self.seed >= 2**32:
+            raise ValueError(f"seed: expected less than 2**32, got {self.seed}")
+
+    def _check_number(self, name: str, low: float, high: float) -> None:
+        value = getattr(self, name)
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not low <= value <= high
+            or math.isinf(value)
+        ):
+            kind = "a finite positive number" if low > 0 else f"a finite number in [{low:g}, {high:g}]"
+            raise ValueError(f"{name}: expected {kind}, got {value!r}")
+
+    def to_card(self) -> dict[str, Any]:
+        """The configuration as a JSON object (if `env_kwargs` is)."""
+        return asdict(self)
+
+    @classmethod
+    def from_card(cls, card: Mapping[str, Any], **changes: Any) -> "TrainConfig":
+        """Read what `to_card` wrote, with some fields changed. Raises ValueError on unknown fields."""
+        known = {item.name for item in fields(cls)}
+        unknown = sorted(set(card) - known)
+        if unknown:
+            raise ValueError(f"config: unknown fields {', '.join(unknown)}")
+        return cls(**{**card, **changes})
+
+
+def add_config(parser: argparse.ArgumentParser, title: str) -> None:
+    """One option a field of `TrainConfig`. Only those given appear in the parsed namespace."""
+    group = parser.add_argument_group(title)
+    for item in fields(TrainConfig):
+        if item.name != "env_kwargs":
+            _add_field(group, item)
+    add_env_kwargs(parser)
+    parser.set_defaults(env_kwargs=None)
+
+
+def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The fields of `TrainConfig` that the command line sets."""
+    names = {item.name for item in fields(TrainConfig)}
+    return {name: value for name, value in vars(arguments).items() if name in names and value is not None}
+
+
+def _add_field(parser: argparse._ArgumentGroup, item: Field) -> None:
+    default = item.default
+    assert default is not MISSING
+    flag = "--" + item.name.replace("_", "-")
+    if isinstance(default, bool):
+        text = f"{item.metadata['help']} (default: {'yes' if default else 'no'})"
+        parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=argparse.SUPPRESS, help=text)
+        return
+    kind: Any
+    if isinstance(default, tuple):
+        kind, name = (_widths, "N,N") if item.name == "hidden" else (_words, "KEY,KEY")
+        shown = ",".join(map(str, default)) or "none"
+    elif item.name == "residual":
+        kind, name, shown = str, "BASE", "none"
+    elif default is None or isinstance(default, float):
+        kind, name, shown = float, "X", "none" if default is None else f"{default:g}"
+    elif isinstance(default, int):
+        kind, name, shown = _integer, "N", str(default)
+    else:
+        kind, name, shown = str, "NAME", default
+    text = f"{item.metadata['help']} (default: {shown})"
+    parser.add_argument(flag, metavar=name, type=kind, default=argparse.SUPPRESS, help=text)
+
+
+def _integer(text: str) -> int:
+    """An integer, also as 2_000_000 or 2e6."""
+    try:
+        value = float(text)
+        if value != int(value):
+            raise ValueError
+        return int(text) if "e" not in text.lower() else int(value)
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"expected an integer, got {text!r}") from None
+
+
+def _widths(text: str) -> tuple[int, ...]:
+    return tuple(_integer(part) for part in text.split(",") if part)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(",") if part.strip())
