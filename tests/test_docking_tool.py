@@ -280,6 +280,8 @@ def test_mounting_the_ranges_about_the_docked_pose_is_what_makes_room():
     assert chosen.position[0] == pytest.approx(0.0)
     with pytest.raises(ValueError, match="radius"):
         STRAIGHT.best_set_point(radius=0.05, resolution=0.02)
+    with pytest.raises(ValueError, match="radius"):
+        MOUNTED.best_set_point(radius=50.0, resolution=0.02)
     assert STRAIGHT.best_set_point(radius=0.01, resolution=0.02).worst_quality > 0
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import minimum_filter
+from scipy.ndimage import distance_transform_edt, minimum_filter
 
 from aerograsp_env.spatial import as_array, transform
 
@@ -145,13 +145,16 @@ def best_set_point(
         low, high = (half_shape - region).astype(int), (half_shape + region).astype(int) + 1
         inside[low[0] : high[0], low[1] : high[1], low[2] : high[2]] = True
 
-    reach = np.floor(motion / resolution + 1e-9).astype(int)
-    offsets = np.meshgrid(*(np.arange(-n, n + 1) * resolution for n in reach), indexing="ij")
-    footprint = np.ones(offsets[0].shape, dtype=bool)
-    if np.ndim(radius) == 0:
-        footprint = sum(offset**2 for offset in offsets) <= (motion[0] * (1.0 + 1e-9)) ** 2
-    worst = minimum_filter(grid.quality, footprint=footprint, mode="constant", cval=0.0)
-    worst = np.where(inside, worst, 0.0)
+    # Room for the largest ball inside the motion is needed anyway; without this check a huge footprint would be built.
+    room = float(distance_transform_edt(np.pad(grid.quality > 0.0, 1)).max()) * resolution
+    worst = np.zeros(grid.quality.shape)
+    if room > motion.min():
+        reach = np.floor(motion / resolution + 1e-9).astype(int)
+        offsets = np.meshgrid(*(np.arange(-n, n + 1) * resolution for n in reach), indexing="ij")
+        footprint = np.ones(offsets[0].shape, dtype=bool)
+        if np.ndim(radius) == 0:
+            footprint = sum(offset**2 for offset in offsets) <= (motion[0] * (1.0 + 1e-9)) ** 2
+        worst = np.where(inside, minimum_filter(grid.quality, footprint=footprint, mode="constant", cval=0.0), 0.0)
     highest = float(worst.max())
     if highest <= 0.0:
         raise ValueError(
