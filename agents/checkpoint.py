@@ -8,7 +8,6 @@ readable `.json`; only the one inside the file is read back. Loading needs NumPy
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from aerograsp_env.wrappers import BASE_ACTION
+from agents.files import write_atomic
 
 SCHEMA = "aerograsp-checkpoint"
 VERSION = 1
@@ -106,7 +106,7 @@ class NetworkLayout:
 def save_checkpoint(path: str | Path, tensors: Mapping[str, Any], card: Mapping[str, Any]) -> Path:
     """Write `tensors` and `card` to `path` (.safetensors), and the card beside it as .json.
 
-    Both are written under temporary names, flushed to disk, then renamed, so that an interrupt at any moment leaves the
+    Both are written under temporary names, then renamed, so that an interrupt at any moment leaves the
     last checkpoint whole.
 
     Args:
@@ -131,23 +131,8 @@ def save_checkpoint(path: str | Path, tensors: Mapping[str, Any], card: Mapping[
         raise ValueError(f"card: expected a JSON object, got one that cannot be written ({error})") from None
     arrays = {name: np.asarray(_to_numpy(value), order="C") for name, value in tensors.items()}
     path.parent.mkdir(parents=True, exist_ok=True)
-    # The pid keeps two processes that write to one folder from sharing a temporary file.
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary_card = path.with_name(f".{path.stem}.json.{os.getpid()}.tmp")
-    try:
-        save_file(arrays, temporary, metadata={"card": line})
-        temporary_card.write_text(json.dumps(full_card, indent=1) + "\n", encoding="utf-8")
-        for written in (temporary, temporary_card):
-            with written.open("rb") as file:
-                os.fsync(file.fileno())
-        temporary_card.replace(path.with_suffix(".json"))
-        temporary.replace(path)
-    except SafetensorError as error:  # safetensors reports a full or read-only disk in its own exception
-        raise OSError(f"cannot write {path}: {error}") from None
-    finally:
-        temporary.unlink(missing_ok=True)
-        temporary_card.unlink(missing_ok=True)
-    return path
+    write_atomic(path.with_suffix(".json"), json.dumps(full_card, indent=1) + "\n")
+    return write_atomic(path, save(arrays, metadata={"card": line}))
 
 
 def load_checkpoint(path: str | Path, env_id: str | None = None) -> Checkpoint:

@@ -8,6 +8,7 @@ is not saved: the worlds restart at every periodic checkpoint, in an uninterrupt
 steps). A run resumed from a periodic checkpoint is therefore the uninterrupted one, bit for bit, on one machine.
 """
 
+import argparse
 import shlex
 import signal
 import sys
@@ -434,7 +435,11 @@ def _immediate_interrupt(run: _Run) -> Iterator[None]:
 
 def main(argv: list[str]) -> int:
     """`aerograsp train ID`."""
-    parser = Parser(prog="aerograsp train", description="Train a policy by PPO, alone or over an analytic policy.")
+    parser = Parser(
+        prog="aerograsp train",
+        description="Train a policy by PPO, alone or over an analytic policy.",
+        formatter_class=argparse.HelpFormatter,  # the hyper-parameters tell their defaults themselves
+    )
     parser.add_argument("id", metavar="ID", help="environment, e.g. aerograsp/Dock-v0")
     parser.add_argument("--out", metavar="FOLDER", help="checkpoints and logs (default: runs/<id>-<algorithm>-<seed>)")
     parser.add_argument(

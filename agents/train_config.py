@@ -55,7 +55,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         for name in ("keys", "hidden"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
-        object.__setattr__(self, "env_kwargs", dict(self.env_kwargs))
+        # A card gives lists back where the command line gave tuples: both are one configuration.
+        object.__setattr__(self, "env_kwargs", {key: _tuples(value) for key, value in self.env_kwargs.items()})
         at_least = {
             1: ("steps", "num_envs", "n_steps", "epochs", "checkpoint_every", "eval_every", "threads"),
             2: ("batch_size",),  # advantages are normalised within a minibatch
@@ -150,6 +151,10 @@ def _add_field(parser: argparse._ArgumentGroup, item: Field) -> None:
         kind, name, shown = str, "NAME", default
     text = f"{item.metadata['help']} (default: {shown})"
     parser.add_argument(flag, metavar=name, type=kind, default=argparse.SUPPRESS, help=text)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
 
 
 def _integer(text: str) -> int:

@@ -63,14 +63,19 @@ def test_round_trip_is_exact_for_every_type(tmp_path):
     assert found.network.shapes()["actor.1.weight"] == (3, 8)
 
 
-def test_an_interrupt_while_writing_leaves_the_last_checkpoint_whole(tmp_path, monkeypatch):
+@pytest.mark.parametrize("moment", ["write", "rename"])
+def test_an_interrupt_while_writing_leaves_the_last_checkpoint_whole(tmp_path, monkeypatch, moment):
     path = save_checkpoint(tmp_path / "a.safetensors", tensors(0), CARD)
+    replace = Path.replace
 
-    def half(arrays, target, metadata=None):
-        Path(target).write_bytes(b"half")
+    def interrupted(self, target):
+        if moment == "write":
+            self.write_bytes(self.read_bytes()[:100])
+        elif Path(target).suffix == ".json":
+            return replace(self, target)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "save_file", half)
+    monkeypatch.setattr(Path, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
         save_checkpoint(path, tensors(1), CARD)
     np.testing.assert_array_equal(load_checkpoint(path).tensors["log_std"], tensors(0)["log_std"])

@@ -316,3 +316,13 @@ def test_seeds_stay_in_their_range():
     seeds = {world_seed(config, steps) for steps in range(2000)}
     assert len(seeds) > 1990 and all(s in TRAIN_SEEDS and s + 63 in TRAIN_SEEDS for s in seeds)
     assert world_seed(config, 5) == world_seed(config, 5) != world_seed(TrainConfig(seed=1), 5)
+
+
+def test_a_configuration_survives_its_card():
+    config = TrainConfig(
+        keys=("a", "b"), hidden=(3,), target_kl=0.02, env_kwargs={"delay": (0.06, 0.1), "wind": "gusty"}
+    )
+    again = TrainConfig.from_card(json.loads(json.dumps(config.to_card())))
+    assert again == config and again.env_kwargs["delay"] == (0.06, 0.1)
+    with pytest.raises(ValueError, match="unknown fields colour"):
+        TrainConfig.from_card({"colour": 1})
