@@ -256,7 +256,7 @@ class RelativePoseError(NamedTuple):
 
 
 def relative_pose_error(T_estimate: ArrayLike, T_true: ArrayLike, delta: int = 1) -> RelativePoseError:
-    """RPE over δ frames, (Q_i⁻¹ Q_{i+δ})⁻¹ (P_i⁻¹ P_{i+δ}), for poses P, true Q (N, 4, 4) (Sturm et al. 2012, sec. V)."""
+    """RPE over δ frames, (Q_i⁻¹ Q_{i+δ})⁻¹ (P_i⁻¹ P_{i+δ}) (Sturm et al. 2012, sec. V); P and true Q (N, 4, 4)."""
     P, Q = check_transform(T_estimate, "T_estimate"), check_transform(T_true, "T_true")
     if P.ndim != 3 or P.shape != Q.shape:
         raise ValueError(f"T_estimate, T_true: expected equal shapes (N, 4, 4), got {P.shape} and {Q.shape}")

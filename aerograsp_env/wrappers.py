@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import Env, Wrapper
+from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict, Space
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
@@ -60,9 +61,7 @@ def _final_action(base: NDArray[np.float32], action: Any, scale: float) -> NDArr
     return np.clip(base + np.float32(scale) * action, -1.0, 1.0)
 
 
-class ResidualAction(
-    Wrapper[Observation, NDArray[np.float32], Observation, NDArray[np.float32]], RecordConstructorArgs
-):
+class ResidualAction(Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Adds the agent's action, scaled, to a base policy's, in a single environment.
 
     The action space is the environment's. The observation gains "base_action" (n,) float32 in [−1, 1]: the base
@@ -76,10 +75,11 @@ class ResidualAction(
     Raises:
         ValueError: for another kind of environment, policy or scale, an action of the wrong shape, or a base policy
             whose actions are of the wrong shape or not finite.
+        gymnasium.error.ResetNeeded: if stepped before the first reset.
     """
 
     def __init__(self, env: Env[Any, Any], policy: Policy, scale: float = 0.3) -> None:
-        RecordConstructorArgs.__init__(self, policy=policy, scale=scale)
+        RecordConstructorArgs.__init__(self, policy=policy, scale=scale, _disable_deepcopy=True)
         Wrapper.__init__(self, env)
         self.observation_space = _check(env.observation_space, env.action_space, policy, scale)
         self.policy, self.scale = policy, float(scale)
@@ -98,7 +98,7 @@ class ResidualAction(
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, Any, bool, bool, dict[str, Any]]:
         """Steps with ``clip(base + scale · action, −1, 1)``."""
         if self._base is None:
-            raise ValueError("step: expected reset() first, got none")
+            raise ResetNeeded("step: expected a call of reset() first")
         observation, reward, terminated, truncated, info = self.env.step(_final_action(self._base, action, self.scale))
         observation, info = self._respond(observation, info)
         return observation, reward, terminated, truncated, info
@@ -109,7 +109,7 @@ class ResidualAction(
         return {**observation, BASE_ACTION: self._base.copy()}, {**info, BASE_ACTION: self._base.copy()}
 
 
-class ResidualActionVector(VectorWrapper[Observation, NDArray[np.float32], Observation, NDArray[np.float32], Any]):
+class ResidualActionVector(VectorWrapper[Any, Any, Any, Any, Any]):
     """`ResidualAction` for a vector environment, with a base policy that takes batches.
 
     Worlds restart in the base policy exactly where their observation is the first of an episode: one step after they
@@ -143,7 +143,7 @@ class ResidualActionVector(VectorWrapper[Observation, NDArray[np.float32], Obser
         self._base: NDArray[np.float32] | None = None
 
     def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
-        """Resets the worlds, or those that ``options["reset_mask"]`` (N,) names, and the base policy's state in them."""
+        """Resets all worlds, or those in ``options["reset_mask"]`` (N,), and the base policy's state in them."""
         mask = None if options is None else options.get("reset_mask")  # Gymnasium's environments pop it
         observations, infos = self.env.reset(seed=seed, options=options)
         if mask is None:
@@ -157,7 +157,7 @@ class ResidualActionVector(VectorWrapper[Observation, NDArray[np.float32], Obser
     def step(self, actions: NDArray[np.float32]) -> tuple[Observation, Any, Any, Any, dict[str, Any]]:
         """Steps with ``clip(base + scale · actions, −1, 1)``, actions (N, n)."""
         if self._base is None:
-            raise ValueError("step: expected reset() first, got none")
+            raise ResetNeeded("step: expected a call of reset() first")
         final = _final_action(self._base, actions, self.scale)
         observations, rewards, terminations, truncations, infos = self.env.step(final)
         done = np.logical_or(terminations, truncations)
