@@ -1,0 +1,100 @@
+"""From a configuration to the record that the compiled loop reads."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.sim import layout as lay
+from aerograsp_env.sim.config import CONTROL_STEP, DockConfig
+from aerograsp_env.sim.docking_tool import R_TIP_BODY, R_WORLD_BASE
+from aerograsp_env.sim.scene import DOCK_POSITION, JOINT_NAMES, TIMESTEP
+from aerograsp_env.sim.sensors import SensorConfig
+from aerograsp_env.sim.wind import dryden_coefficients
+
+HOVER_OFFSET = np.array([-0.3, 0.0, 0.6])  # where an undocked vehicle hovers: clear of the pipe, from the docked nominal [m]
+
+
+def _blend(time: float, step: float) -> float:
+    return float(np.exp(-step / time)) if time > 0 else 0.0
+
+
+def docked_nominal(config: DockConfig) -> NDArray[np.float64]:
+    """(3,) airframe origin, world, with the level vehicle's tip at the tool's nominal place and heading 0 [m]."""
+    tip = DOCK_POSITION + R_WORLD_BASE @ np.asarray(config.tool.nominal_tip)
+    return tip - np.asarray(config.airframe.tip_position)
+
+
+def make_parameters(config: DockConfig, model: mujoco.MjModel) -> np.ndarray:
+    """A zero-dimensional record (dtype layout.PARAMETERS) without the per-episode draws."""
+    p = np.zeros((), lay.PARAMETERS)
+    airframe, rotor, pilot, tool = config.airframe, config.airframe.rotor, config.autopilot, config.tool
+    mass, com, _ = airframe.properties()
+    p["airframe_body"] = model.body("airframe").id
+    p["base_body"] = model.body("tool_base").id
+    p["com"] = com
+    p["rotor_position"] = airframe.rotor_positions()
+    p["thrust_constant"], p["speed_max"] = rotor.thrust_constant, rotor.speed_max
+    p["spin_up"] = 1.0 - _blend(rotor.time_constant_up, TIMESTEP)
+    p["spin_down"] = 1.0 - _blend(rotor.time_constant_down, TIMESTEP)
+    p["rotor_drag"], p["rotor_radius"], p["drag_area"] = rotor.drag, rotor.radius, airframe.drag_area
+
+    p["believed_mass"] = mass + sum(tool.link_masses)
+    p["thrust_max"] = rotor.thrust_max
+    p["mixer"] = np.linalg.pinv(airframe.allocation(com))
+    p["torque_scale"] = airframe.torque_scale()
+    p["velocity_p"] = (pilot.mpc_xy_vel_p_acc, pilot.mpc_xy_vel_p_acc, pilot.mpc_z_vel_p_acc)
+    p["velocity_i"] = (pilot.mpc_xy_vel_i_acc, pilot.mpc_xy_vel_i_acc, pilot.mpc_z_vel_i_acc)
+    p["velocity_d"] = (pilot.mpc_xy_vel_d_acc, pilot.mpc_xy_vel_d_acc, pilot.mpc_z_vel_d_acc)
+    p["velocity_d_blend"] = 1.0 - np.exp(-2 * np.pi * pilot.mpc_veld_lp * TIMESTEP)
+    p["tilt_max"] = pilot.mpc_tiltmax_air
+    p["attitude_p"] = (pilot.mc_roll_p, pilot.mc_pitch_p, pilot.mc_yaw_p)
+    p["rate_p"] = (pilot.mc_rollrate_p, pilot.mc_pitchrate_p, pilot.mc_yawrate_p)
+    p["rate_i"] = (pilot.mc_rollrate_i, pilot.mc_pitchrate_i, pilot.mc_yawrate_i)
+    p["rate_d"] = (pilot.mc_rollrate_d, pilot.mc_pitchrate_d, pilot.mc_yawrate_d)
+    p["rate_d_blend"] = 1.0 - np.exp(-2 * np.pi * pilot.imu_dgyro_cutoff * TIMESTEP)
+    p["rate_integral_limit"] = pilot.mc_rr_int_lim
+    p["rate_max"] = (pilot.mc_rollrate_max, pilot.mc_rollrate_max, pilot.mc_yawrate_max)
+    p["heading_frame"] = pilot.command_frame == "heading"
+
+    gust = dryden_coefficients(config.wind, CONTROL_STEP)
+    p["gust_transition"], p["gust_input"], p["gust_output"] = gust.transition, gust.input, gust.output
+    set_sensors(p, config, config.sensors)
+
+    p["lengths"], p["signal_limits"], p["mechanical_limits"] = tool.lengths, tool.signal_limits(), tool.mechanical_limits()
+    p["joint_address"] = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
+    p["tip_position"], p["tip_rotation"] = airframe.tip_position, R_TIP_BODY
+    p["seat_rotation"], p["seat_position"] = R_WORLD_BASE, DOCK_POSITION
+    p["overload_force"], p["lock_torque"], p["lock_stiffness"] = tool.overload_force, tool.lock_torque, tool.lock_stiffness
+
+    p["localization"] = lay.LOCALIZATIONS[config.localization]
+    p["velocity_limit"], p["yaw_rate_limit"] = config.velocity_limit, config.yaw_rate_limit if config.attach else 0.0
+    p["nominal"] = docked_nominal(config) + (0.0 if config.docked or config.attach else HOVER_OFFSET)
+    p["skip_steps"] = round(config.skip / CONTROL_STEP)
+    p["bound"] = config.bound
+    p["settle_steps"] = round(5.0 / CONTROL_STEP)
+    p["attach"] = config.attach
+    p["couple_distance"], p["couple_angle"], p["couple_speed"] = 0.04, np.radians(20.0), 0.4
+    return p
+
+
+def set_sensors(p: np.ndarray, config: DockConfig, sensors: SensorConfig) -> None:
+    """Write the noise of `sensors` into the record, in place."""
+    source = getattr(sensors, config.localization)
+    far = sensors.vision if config.attach else source  # before it is docked the vehicle sees by camera
+    p["velocity_wander_limit"] = source.velocity_limit
+    p["velocity_wander_blend"] = _blend(sensors.velocity_wander_time, CONTROL_STEP)
+    p["velocity_std"], p["velocity_blend"] = sensors.velocity_std, _blend(sensors.velocity_time, CONTROL_STEP)
+    imu, tool = sensors.imu, sensors.tool
+    p["gyro_std"], p["acceleration_std"] = imu.gyro_std, imu.acceleration_std
+    p["attitude_limit"], p["attitude_blend"] = imu.attitude_limit, _blend(imu.attitude_time, CONTROL_STEP)
+    p["source_period"] = max(round(1.0 / (far.rate * CONTROL_STEP)), 1)
+    p["source_wander_limit"], p["source_wander_blend"] = far.wander_limit, _blend(far.wander_time, CONTROL_STEP)
+    p["source_jump_size"] = far.jump_size
+    p["source_jump_start"] = CONTROL_STEP / far.jump_interval if any(far.jump_size) else 0.0
+    p["source_jump_stop"] = CONTROL_STEP / far.jump_duration
+    p["source_white_std"] = far.white_std
+    p["potentiometer_std"] = tool.white_std
+    p["potentiometer_quantum"] = tool.electrical_range / 2**tool.adc_bits
+    p["base_acceleration_std"], p["tilt_blend"] = tool.acceleration_std, _blend(tool.tilt_time, CONTROL_STEP)

@@ -1,0 +1,110 @@
+"""N docking worlds and the one call that steps them."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.sim import kernel
+from aerograsp_env.sim import layout as lay
+from aerograsp_env.sim.config import DockConfig
+from aerograsp_env.sim.reset import reset_world
+from aerograsp_env.sim.scene import build_model
+
+_THREADED_FROM = 8  # worlds; below, handing work to a thread costs more than it saves
+
+
+def mj_step_address() -> int:
+    """Address of MuJoCo's C function mj_step in the library that the Python package has loaded."""
+    folder = Path(mujoco.__file__).parent
+    for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
+        for path in sorted(folder.glob(pattern)):
+            return int(ctypes.cast(ctypes.CDLL(str(path)).mj_step, ctypes.c_void_p).value or 0)
+    raise RuntimeError(f"no MuJoCo library found beside {Path(mujoco.__file__).name}; is the mujoco package intact?")
+
+
+class Worlds:
+    """`n` independent worlds of one configuration.
+
+    Observations are rows of `observations` (n, D) float32 in the order of `layout`; reward terms rows of `terms` (n, 5); what
+    happened is read from `states` (structured array). All three are overwritten by the next call.
+    """
+
+    def __init__(self, config: DockConfig, n: int, threads: int | None = None) -> None:
+        self.config, self.n = config, n
+        self.layout = lay.ATTACH_OBSERVATION if config.attach else lay.DOCK_OBSERVATION
+        self.action_size = 5 if config.attach else 3
+        self.model = build_model(config.airframe.with_payload(config.payload), config.tool)
+        own = config.randomize is not None  # a drawn vehicle needs a model of its own
+        self.models = [copy.copy(self.model) if own else self.model for _ in range(n)]
+        self.datas = [mujoco.MjData(m) for m in self.models]
+        self.parameters = np.zeros(n, lay.PARAMETERS)
+        self.states = np.zeros(n, lay.STATE)
+        self.bounds = np.concatenate([np.full(size, bound) for _, size, bound in self.layout])
+        self.observations = np.zeros((n, len(self.bounds)), np.float32)
+        self.terms = np.zeros((n, len(kernel.TERMS)))
+        self._noise = np.zeros((n, lay.NOISE_BLOCK, lay.NOISE))
+        self._cursors = np.zeros(n, np.int64)
+        self._actions = np.zeros((n, self.action_size))
+        self._step_function = mj_step_address()
+        self._pointers = np.array([self._addresses(m, d) for m, d in zip(self.models, self.datas, strict=True)], np.int64)
+        threads = min(threads or os.cpu_count() or 1, max(n // (_THREADED_FROM // 2), 1))
+        self._pool = ThreadPoolExecutor(threads, "aerograsp") if threads > 1 and n >= _THREADED_FROM else None
+        edges = np.linspace(0, n, threads + 1).astype(int)
+        self._slices = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+    @staticmethod
+    def _addresses(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
+        arrays = (data.qpos, data.qvel, data.qacc, data.ctrl, data.xfrc_applied, data.qfrc_applied, data.xmat, data.xpos, data.sensordata)
+        return [model._address, data._address, *(a.ctypes.data for a in arrays)]
+
+    def reset(self, index: int, rng: np.random.Generator, options: dict) -> None:
+        """Begin an episode in world `index`; its first observation stands in `observations[index]`."""
+        i = index
+        p, s = self.parameters[i : i + 1].reshape(()), self.states[i : i + 1].reshape(())
+        reset_world(self.config, self.model, self.models[i], self.datas[i], rng, options, p, s)
+        self.draw_noise(i, rng)
+        self.terms[i] = 0.0
+        kernel.read_worlds(
+            self._pointers, self.parameters, self.states, self._noise, self._cursors, self.bounds, self.observations, i, i + 1
+        )
+
+    def draw_noise(self, index: int, rng: np.random.Generator) -> None:
+        """A fresh block of noise for one world."""
+        rng.standard_normal(out=self._noise[index])
+        self._cursors[index] = 0
+
+    def step(self, actions: NDArray[np.float64], rngs: list[np.random.Generator]) -> None:
+        """One control step of every world. actions (n, A) in [−1, 1], already checked."""
+        for i in np.flatnonzero(self._cursors >= lay.NOISE_BLOCK):
+            self.draw_noise(i, rngs[i])
+        self._actions[:] = actions
+        fixed = (
+            self._step_function, self._pointers, self.parameters, self.states, self._noise, self._cursors,
+            self._actions, self.bounds, self.observations, self.terms,
+        )  # fmt: skip
+        if self._pool is None:
+            kernel.step_worlds(*fixed, 0, self.n)
+        else:
+            list(self._pool.map(lambda s: kernel.step_worlds(*fixed, *s), self._slices))
+        self._after_step()
+
+    def _after_step(self) -> None:
+        """What is rare and easier outside the compiled loop: collisions and coupling."""
+        for i, data in enumerate(self.datas):
+            if data.ncon and self.states["termination"][i] == lay.RUNNING:
+                self.states["termination"][i] = lay.COLLISION
+                self.terms[i, kernel.TERMS.index("crash")] = -10.0
+
+    def close(self) -> None:
+        """Stop the worker threads."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True)
+            self._pool = None
