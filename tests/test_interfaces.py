@@ -87,15 +87,19 @@ def test_bad_intrinsics(change: dict[str, Any], message: str) -> None:
 
 # --- values ------------------------------------------------------------------
 
-FRAME = {"rgb": np.zeros((6, 8, 3), np.uint8), "depth": np.ones((6, 8), np.float32), "intrinsics": CAMERA}
-DETECTION = {
+FRAME: dict[str, Any] = {
+    "rgb": np.zeros((6, 8, 3), np.uint8),
+    "depth": np.ones((6, 8), np.float32),
+    "intrinsics": CAMERA,
+}
+DETECTION: dict[str, Any] = {
     "label": "wrench",
     "score": 0.9,
     "box": [1.0, 2.0, 3.0, 5.0],
     "T_c_object": np.eye(4),
     "covariance": 1e-4 * np.eye(6),
 }
-GRASP = {"center": [0, 0, 0.5], "closing_axis": [1, 0, 0], "approach_axis": [0, 0, -1], "width": 0.06}
+GRASP: dict[str, Any] = {"center": [0, 0, 0.5], "closing_axis": [1, 0, 0], "approach_axis": [0, 0, -1], "width": 0.06}
 
 
 def test_good_values_are_kept() -> None:

@@ -31,7 +31,7 @@ def test_iou_by_hand() -> None:
     a = [[0, 0, 2, 2], [0, 0, 0, 5]]
     b = [[0, 0, 2, 2], [1, 1, 3, 3], [2, 0, 4, 2], [0, 0, 1, 1]]
     # 1×1 of overlap in 4 + 4 − 1; touching edges share nothing; a quarter; no area, no overlap.
-    np.testing.assert_allclose(m.box_iou(a, b), [[1, 1 / 7, 0, 1 / 4], [0, 0, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(m.box_iou(a, b), [[1.0, 1 / 7, 0.0, 1 / 4], [0.0] * 4], atol=1e-15)
 
 
 def test_iou_is_symmetric_batched_and_takes_no_boxes(rng: np.random.Generator) -> None:

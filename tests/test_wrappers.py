@@ -19,7 +19,7 @@ from aerograsp_env.wrappers import ResidualAction, ResidualActionVector
 TOY = "aerograsp-test/Toy-v0"
 
 
-class Toy(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
+class Toy(gymnasium.Env[Any, Any]):
     """A point pushed about in the plane, in episodes of random length; it remembers the action that reached it."""
 
     metadata = {"render_modes": []}  # noqa: RUF012  # Gymnasium's own form
@@ -86,7 +86,7 @@ class Answer:
 
 @pytest.fixture(autouse=True)
 def toy() -> Iterator[None]:
-    gymnasium.register(TOY, entry_point=Toy)
+    gymnasium.register(TOY, entry_point=lambda **_: Toy())
     yield
     gymnasium.registry.pop(TOY)
 
