@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
@@ -18,7 +19,11 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from aerograsp_env.wrappers import BASE_ACTION
+from aerograsp_env.wrappers import BASE_ACTION, ResidualActionVector
+from agents.arguments import one_line
+from agents.network_policy import analytic_policy
+from agents.policies import env_spec
+from agents.train_config import TrainConfig
 
 Observation = dict[str, NDArray]
 
@@ -147,3 +152,41 @@ def _checked_keys(keys: Iterable[str], boxes: spaces.Dict) -> tuple[str, ...]:
         if not isinstance(boxes[key], spaces.Box) or len(boxes[key].shape or ()) != 1:
             raise ValueError(f"keys: {key!r} is not a vector but {boxes[key]}")
     return names
+
+
+def make_learner_env(env_id: str, config: TrainConfig) -> SB3VecEnv:
+    """The id's worlds as Stable-Baselines3 takes them, with the residual's base policy inside.
+
+    Raises:
+        ValueError: the environment does not take these options, or has no such keys or policy.
+    """
+    base = None if config.residual is None else analytic_policy(env_id, config.residual)
+    venv = _make_worlds(env_id, config)
+    try:
+        if base is not None:
+            venv = ResidualActionVector(venv, base, config.residual_scale)
+        return SB3VecEnv(venv, keys=config.keys or tuple(getattr(venv.single_observation_space, "spaces", ())))
+    except ValueError:
+        venv.close()
+        raise
+
+
+def _make_worlds(env_id: str, config: TrainConfig) -> VectorEnv:
+    native = env_spec(env_id).vector_entry_point is not None
+    options: dict[str, Any] = {"vector_kwargs": {"autoreset_mode": AutoresetMode.SAME_STEP}}
+    if native:  # Gymnasium passes `vector_kwargs` to its own vector environments only; a native one takes plain options
+        options = {"autoreset_mode": "same_step"}
+    try:
+        return gymnasium.make_vec(
+            env_id,
+            num_envs=config.num_envs,
+            vectorization_mode="vector_entry_point" if native else "sync",
+            **options,
+            **config.env_kwargs,
+        )
+    except TypeError as error:
+        if "unexpected keyword argument" not in str(error):
+            raise
+        raise ValueError(
+            f"env_kwargs: {env_id} does not take all of {sorted(config.env_kwargs)}: {one_line(error)}"
+        ) from error

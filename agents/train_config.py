@@ -1,14 +1,33 @@
-"""The options of a training, typed, validated, and turned into command-line options."""
+"""A training's options, typed, validated and turned into command-line options, and what it results in."""
 
 import argparse
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from agents.arguments import add_env_kwargs
 from agents.checkpoint import ACTIVATIONS
+
+LATEST, BEST = "latest.safetensors", "best.safetensors"
+
+
+class TrainingInterrupted(KeyboardInterrupt):
+    """Ctrl-C, after a checkpoint was written; the message says how to resume."""
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """What a finished training left behind."""
+
+    out: Path
+    steps: int
+    wall_time: float  # [s], over all resumed parts
+    seconds_per_million_steps: float  # [s], this part, evaluations left out
+    best: dict[str, Any] | None  # the curve's best row; None if never evaluated
+    curve: list[dict[str, Any]]
 
 
 def _option(default: Any, text: str) -> Any:
@@ -98,6 +117,11 @@ class TrainConfig:
         ):
             kind = "a finite positive number" if low > 0 else f"a finite number in [{low:g}, {high:g}]"
             raise ValueError(f"{name}: expected {kind}, got {value!r}")
+
+    @property
+    def algorithm(self) -> str:
+        """ "ppo" or "ppo-residual"."""
+        return "ppo" if self.residual is None else "ppo-residual"
 
     def to_card(self) -> dict[str, Any]:
         """The configuration as a JSON object (if `env_kwargs` is)."""

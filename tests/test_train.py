@@ -10,13 +10,14 @@ import toy_environment as toy
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from aerograsp_env.wrappers import BASE_ACTION, ResidualActionVector
-from agents import evaluate, load_policy
+from agents import evaluate, load_policy, ppo
 from agents.checkpoint import CheckpointError, load_checkpoint
 from agents.network_policy import NetworkPolicy
-from agents.sb3_env import SB3VecEnv
+from agents.sb3_env import SB3VecEnv, make_learner_env
 from agents.seeds import TRAIN_SEEDS
-from agents.train import BEST, LATEST, TrainingInterrupted, main, train, world_seed
-from agents.train_config import TrainConfig
+from agents.train import main, train
+from agents.train_config import BEST, LATEST, TrainConfig, TrainingInterrupted
+from agents.training import world_seed
 
 toy.register()
 ROLLOUT = 64
@@ -130,9 +131,6 @@ def test_a_resumed_run_is_the_uninterrupted_one(tmp_path, env_id, residual):
 
 
 def test_state_round_trips_exactly(tmp_path):
-    from agents import ppo
-    from agents.train import make_learner_env
-
     train(toy.BATCHED, out=tmp_path, steps=ROLLOUT, **SMALL)
     saved = load_checkpoint(tmp_path / LATEST).tensors
     config = TrainConfig(**SMALL, seed=99)
@@ -165,9 +163,6 @@ def test_it_learns(tmp_path):
 
 
 def test_a_residual_begins_as_its_base(tmp_path):
-    from agents import ppo
-    from agents.train import make_learner_env
-
     config = TrainConfig(**SMALL, residual="pi")
     env = make_learner_env(toy.SINGLE, config)
     model, normalized = ppo.build(config, env)

@@ -29,7 +29,7 @@ class Points(VectorEnv):
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         self.num_envs, self.wind, self.limit = num_envs, wind, max_episode_steps
-        self.mode = AutoresetMode(autoreset_mode)
+        self.mode = AutoresetMode[autoreset_mode.upper()] if isinstance(autoreset_mode, str) else autoreset_mode
         self.metadata = {"autoreset_mode": self.mode}
         self.single_observation_space, self.single_action_space = spaces_of()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
