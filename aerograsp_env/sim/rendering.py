@@ -489,7 +489,7 @@ def _geom_colors(model: mujoco.MjModel, textures: list[_Texture]) -> tuple[NDArr
 
 
 def _repeat(model: mujoco.MjModel, plane: int) -> tuple[Array, Array]:
-    """Periods of a plane's texture per metre along its x and y (2,), and where they start (2,) [m], as MuJoCo has it."""
+    """Periods of a plane's texture per metre along its x and y (2,), and where they start (2,) [m], as in MuJoCo."""
     material = model.geom_matid[plane]
     size = model.geom_size[plane, :2].clip(0.0)
     spread = (size == 0) | bool(model.mat_texuniform[material])
