@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -259,15 +260,10 @@ def test_errors(world):
     other = mujoco.MjModel.from_xml_string("<mujoco/>")
     with pytest.raises(ValueError, match="data must belong"):
         renderer.render(mujoco.MjData(other), "top")
-    for bad in (
-        {"elevation": -20.0},
-        {"fovy": 45.0},
-        {"azimuth": 135.0},
-        {"distance": 0.0},
-        {"lookat": (0, np.nan, 0)},
-    ):
-        with pytest.raises(ValueError, match=next(iter(bad))):
-            FreeCamera(**bad)
+    wrong: list[tuple[str, Any]] = [("elevation", -20.0), ("fovy", 45.0), ("azimuth", 135.0)]  # in degrees
+    for name, value in [*wrong, ("fovy", np.nan), ("distance", 0.0), ("distance", np.inf), ("lookat", (0, np.nan, 0))]:
+        with pytest.raises(ValueError, match=name):
+            FreeCamera(**{name: value})
     renderer.close()
     renderer.close()
     with pytest.raises(RuntimeError, match="closed"):

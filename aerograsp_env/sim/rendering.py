@@ -43,11 +43,11 @@ _HORIZON = np.array([[0.78, 0.86, 0.94]], dtype=np.float32).T
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)  # MuJoCo's, of a geom without a colour
 _SUN_DIRECTION = np.array([0.40, 0.28, -0.87])  # of travel, where the model has no light
 _SUN_DISTANCE = 5e3  # [m]; far enough for parallel rays (0.1° over 10 m), near enough for 1e-7 m in double precision
-_SUN_RADIUS = 0.022  # [rad] over which supersampling spreads the sun; larger than the real 0.0047, for softer shadows
+_SUN_RADIUS = 0.010  # [rad] over which supersampling spreads the sun; twice the real one, for softer shadows
 _SHADOW_BIAS = 1e-5  # [m]
 _SKY_FALLOFF = 8  # how fast the sky darkens from the horizon up
 _HIGHLIGHT = 0.5  # of a material of specular 1
-_HAZE_LENGTH = 30.0  # [m] at which a surface has lost 63 % of its contrast
+_HAZE_LENGTH = 40.0  # [m] at which a surface has lost 63 % of its contrast
 
 
 @dataclass(frozen=True)
