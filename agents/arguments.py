@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
 
 MISUSED, FAILED, INTERRUPTED = 2, 1, 130
@@ -106,7 +107,15 @@ def add_seed(parser: argparse.ArgumentParser, default: int) -> None:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """`--json FILE` → `args.json: str | None`."""
-    parser.add_argument("--json", metavar="FILE", default=None, help="write the result as JSON; - is standard output")
+    parser.add_argument(
+        "--json", metavar="FILE", type=_json_target, default=None, help="write the result as JSON; - is standard output"
+    )
+
+
+def _json_target(text: str) -> str:
+    if text != "-" and not Path(text).absolute().parent.is_dir():  # say so before the work, not after it
+        raise argparse.ArgumentTypeError(f"no such folder: {Path(text).absolute().parent}")
+    return text
 
 
 def guarded(prog: str, main: Callable[[list[str]], int | None], argv: Sequence[str]) -> int:

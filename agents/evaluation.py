@@ -9,7 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -254,42 +254,6 @@ def _entries(info: Mapping[str, Any], world: int) -> list[tuple[str, float]]:
     return [(name, float(_entry(info, name, world, np.nan))) for name in names]
 
 
-@dataclass(frozen=True)
-class Trace:
-    """One episode, step by step."""
-
-    policy: str
-    time: NDArray[np.float64]  # (T,) [s]
-    error: NDArray[np.float64]  # (T,) [m] norm of the position error that the policy observed
-
-
-def trace(
-    env_id: str, policy: "Policy | str | Path", seed: int = TEST_SEED, env_kwargs: Mapping[str, Any] | None = None
-) -> Trace:
-    """The observed position error over one pinned episode, for plots.
-
-    Raises:
-        ValueError: as `evaluate`; or the id has no observation "position_error".
-    """
-    kwargs = dict(env_kwargs or {})
-    actor: Any = load_policy(env_id, policy, kwargs) if isinstance(policy, str | Path) else policy
-    env = make_worlds(env_id, 1, kwargs)
-    try:
-        observation, _ = env.reset(seed=seed)
-        if not isinstance(observation, dict) or "position_error" not in observation:
-            raise ValueError(f"{env_id}: has no observation 'position_error' to trace")
-        dt = float(getattr(env.envs[0].unwrapped, "dt", 1.0))  # type: ignore[attr-defined]
-        errors, state, start, done = [], None, np.ones(1, dtype=np.bool_), False
-        while not done:
-            errors.append(float(np.linalg.norm(observation["position_error"])))
-            action, state = actor.predict(observation, state=state, episode_start=start, deterministic=True)
-            observation, _, terminated, truncated, _ = env.step(action)
-            start, done = np.zeros(1, dtype=np.bool_), bool(terminated[0] or truncated[0])
-    finally:
-        env.close()
-    return Trace(str(policy), dt * np.arange(len(errors)), np.array(errors))
-
-
 def main(argv: list[str]) -> int:
     """`aerograsp eval ID`."""
     from agents.provenance import provenance
@@ -306,19 +270,23 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     env_spec(args.id)
     names = args.policies or list(registered_policies(args.id))[:1] or ["zero"]
-    if args.json and args.json != "-" and not Path(args.json).absolute().parent.is_dir():
-        raise FileNotFoundError(f"--json: no such folder: {Path(args.json).absolute().parent}")
     policies = [(name, load_policy(args.id, name, args.env_kwargs)) for name in names]  # refuse all before running any
     results = []
     for name, policy in policies:
         began = time.perf_counter()
         result = evaluate(args.id, policy, args.episodes, args.seed, args.env_kwargs, True, args.num_envs)
-        results.append(EvaluationResult.from_dict({**result.to_dict(), "policy": name}))
+        results.append(replace(result, policy=name))
         print(f"{name}: {args.episodes} episodes in {time.perf_counter() - began:.1f} s", file=sys.stderr)
     if args.json != "-":
         print(table_text([Row.of(result) for result in results]))
     if args.json:
-        write_json(args.json, {"provenance": provenance(argv), "results": [result.to_dict() for result in results]})
+        write_json(
+            args.json,
+            {
+                "provenance": provenance(" ".join(["aerograsp eval", *argv])),
+                "results": [result.to_dict() for result in results],
+            },
+        )
     return 0
 
 

@@ -125,10 +125,10 @@ def load_policy(env_id: str, name_or_path: str | Path, env_kwargs: Mapping[str, 
         PolicyUnavailable: no checkpoint is shipped under that name, or the `learn` extra is missing.
         FileNotFoundError: no such .safetensors file.
     """
-    spec = env_spec(env_id)
+    env_spec(env_id)
     name = str(name_or_path)
     if name in TRIVIAL:
-        action_space, observation_space = _spaces(spec, env_kwargs or {})
+        action_space, observation_space = spaces(env_id, env_kwargs)
         if name == "zero":
             return ZeroPolicy(action_space, observation_space)
         return RandomPolicy(action_space, observation_space)
@@ -182,9 +182,14 @@ def _from_checkpoint(path: Path) -> "Policy":
     return load_network_policy(path)
 
 
-def _spaces(spec: EnvSpec, env_kwargs: Mapping[str, Any]) -> tuple[Space, Space]:
-    with option_errors(spec):
-        env = gymnasium.make(spec.id, disable_env_checker=True, **env_kwargs)
+def spaces(env_id: str, env_kwargs: Mapping[str, Any] | None = None) -> tuple[Space, Space]:
+    """The action and the observation space of an id with these options.
+
+    Raises:
+        UnknownName: no such id or option.
+    """
+    with option_errors(env_spec(env_id)):
+        env = gymnasium.make(env_id, disable_env_checker=True, **(env_kwargs or {}))
     try:
         return env.action_space, env.observation_space
     finally:

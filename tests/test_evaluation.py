@@ -10,10 +10,11 @@ import toy_env
 from toy_env import STEPS, TOY, TOY_SINGLE, Forgetful, HoldVectorEnv, Proportional, Undecided
 
 import agents
-from agents.evaluation import EvaluationResult, evaluate, trace
+from agents.evaluation import EvaluationResult, evaluate
 from agents.files import dumps
 from agents.policies import RandomPolicy
 from agents.seeds import TEST_SEEDS, TRAIN_SEEDS, VALIDATION_SEEDS
+from agents.traces import trace
 
 
 @pytest.fixture(autouse=True)

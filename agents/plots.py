@@ -1,0 +1,151 @@
+"""The report's figures, as PNG bytes on a transparent ground, drawn for a light or a dark page."""
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from agents.table import Estimate, Published, Row
+
+if TYPE_CHECKING:
+    from agents.traces import Trace
+
+PALETTE = ("#3b7dd8", "#e8833a", "#3fa66b", "#c4557c", "#8a6fd1", "#2fa3b5", "#b58a1b", "#7a8b3c")
+AXES = {"error_x": "#3b7dd8", "error_y": "#e8833a", "error_z": "#3fa66b"}
+NULL = "#9aa0a6"  # of the rows that do nothing sensible
+_OFF_SCALE = 8.0  # a bar this many times the shortest is cut, and its value written
+
+
+def colors(names: Sequence[str]) -> dict[str, str]:
+    """One colour a policy, in their order; grey for zero and random."""
+    active = [name for name in names if name not in ("zero", "random")]
+    return {name: NULL for name in names} | {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(active)}
+
+
+def error_bars(rows: Sequence[Row], published: Sequence[Published], dark: bool) -> bytes:
+    """Mean |error| per axis with intervals, a group of bars a policy; published figures hatched."""
+    estimates: list[tuple[str, dict[str, Estimate]]] = [
+        (row.policy, {name: e for name in AXES if (e := row.estimate(name)) is not None}) for row in rows
+    ]
+    estimates = [(policy, found) for policy, found in estimates if found]
+    groups = len(estimates) + len(published)
+    tops = [max(1e3 * e.interval.high for e in found.values()) for _, found in estimates]
+    tops += [1e3 * max(value for value, _ in other.values.values()) for other in published]
+    limit = 1.18 * max(top for top in tops if top <= _OFF_SCALE * min(tops))
+    figure, axis = _figure(dark, 0.62 * groups + 1.1)
+    for group, (_, found) in enumerate(estimates):
+        for i, (name, color) in enumerate(AXES.items()):
+            if name not in found:
+                continue
+            mean, (low, high) = 1e3 * found[name].mean, (1e3 * bound for bound in found[name].interval)
+            y = group + 0.26 * (i - 1)
+            axis.barh(y, min(mean, limit), height=0.23, color=color)
+            if mean > limit:
+                axis.text(0.985 * limit, y, f"{mean:.0f} ▸", ha="right", va="center", color="white", fontsize=7)
+            else:
+                axis.errorbar(mean, y, xerr=[[mean - low], [high - mean]], color=_ink(dark), lw=1.1, capsize=2.2)
+    for group, other in enumerate(published, start=len(estimates)):
+        for i, (name, color) in enumerate(AXES.items()):
+            if name in other.values:
+                y, value = group + 0.26 * (i - 1), 1e3 * other.values[name][0]
+                axis.barh(y, min(value, limit), height=0.23, facecolor="none", edgecolor=color, hatch="////", lw=1)
+    axis.set_yticks(range(groups), [policy for policy, _ in estimates] + [other.label for other in published])
+    axis.set_xlim(0.0, limit)
+    axis.invert_yaxis()
+    axis.set_xlabel("mean |error| [mm]")
+    _grid(axis, "x", dark)
+    handles = [axis.barh(0, 0, color=color, label=name.removeprefix("error_")) for name, color in AXES.items()]
+    figure.legend(handles=handles, ncols=3, loc="upper right", frameon=False, labelcolor=_ink(dark))
+    return _png(figure)
+
+
+def error_strips(rows: Sequence[Row], dark: bool, name: str = "error", label: str = "mean |error| [mm]") -> bytes:
+    """One point an episode, with the box of quartiles behind, on a logarithmic axis."""
+    samples = [
+        (row.policy, 1e3 * row.values[name][np.isfinite(row.values[name])]) for row in rows if name in row.values
+    ]
+    samples = [(policy, values) for policy, values in samples if values.size]
+    palette = colors([policy for policy, _ in samples])
+    figure, axis = _figure(dark, 0.46 * len(samples) + 1.0)
+    rng = np.random.default_rng(0)
+    for i, (policy, values) in enumerate(samples):
+        box = {"color": _ink(dark), "linewidth": 1.0}
+        axis.boxplot(
+            values, positions=[i], orientation="horizontal", widths=0.56, showfliers=False,
+            boxprops=box, whiskerprops=box, capprops=box, medianprops={**box, "linewidth": 2.0},
+        )  # fmt: skip
+        jitter = i + rng.uniform(-0.18, 0.18, values.size)
+        axis.scatter(values, jitter, s=13, color=palette[policy], alpha=0.65, linewidths=0, zorder=1.5)
+    axis.set_yticks(range(len(samples)), [policy for policy, _ in samples])
+    if all(values.min() > 0.0 for _, values in samples):
+        _log_axis(axis, "x")
+    axis.invert_yaxis()
+    axis.set_xlabel(label)
+    _grid(axis, "x", dark)
+    return _png(figure)
+
+
+def error_over_time(traces: Sequence["Trace"], dark: bool) -> bytes:
+    """Observed |position error| over one pinned episode, a line a policy; a cross where an episode ended early."""
+    palette = colors([line.policy for line in traces])
+    end = max(line.time[-1] for line in traces)
+    figure, axis = _figure(dark, 3.3)
+    for line in traces:
+        color = palette[line.policy]
+        error = np.maximum(1e3 * line.error, 0.1)
+        axis.plot(line.time, error, color=color, lw=1.2, label=line.policy, alpha=0.9)
+        if line.time[-1] < end:
+            axis.plot(line.time[-1], error[-1], "x", color=color, ms=7, mew=2)
+    _log_axis(axis, "y")
+    axis.set_xlim(0.0, end)
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel("|position error| [mm]")
+    _grid(axis, "y", dark)
+    figure.legend(ncols=len(traces), loc="upper right", frameon=False, labelcolor=_ink(dark), handlelength=1.2)
+    return _png(figure)
+
+
+def _ink(dark: bool) -> str:
+    return "#d5d9de" if dark else "#33383e"
+
+
+def _figure(dark: bool, height: float) -> tuple[Any, Any]:
+    # Figure without pyplot: no global state, no display, no backend switched under the caller's feet.
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.4, max(height, 1.9)), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.patch.set_alpha(0.0)
+    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.26 / max(height, 1.9)))  # room for the legend
+    axis = figure.add_subplot()
+    axis.patch.set_alpha(0.0)
+    axis.spines[["top", "right", "left"]].set_visible(False)
+    axis.spines["bottom"].set_color(_ink(dark))
+    axis.tick_params(colors=_ink(dark), which="both", length=0)
+    axis.xaxis.label.set_color(_ink(dark))
+    axis.yaxis.label.set_color(_ink(dark))
+    axis.set_axisbelow(True)
+    return figure, axis
+
+
+def _grid(axis: Any, which: str, dark: bool) -> None:
+    axis.grid(axis=which, color=_ink(dark), alpha=0.18, lw=0.7)
+
+
+def _log_axis(axis: Any, which: str) -> None:
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    getattr(axis, f"set_{which}scale")("log")
+    scale = getattr(axis, f"{which}axis")
+    low, high = getattr(axis, f"get_{which}lim")()
+    scale.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 200.0 * low else (1.0,), numticks=20))
+    scale.set_major_formatter(StrMethodFormatter("{x:g}"))
+    scale.set_minor_formatter(NullFormatter())
+
+
+def _png(figure: Any) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=160)
+    return buffer.getvalue()
