@@ -37,7 +37,7 @@ BACKENDS = ("ray", "gl")
 # Linear RGB. A white face that looks up at a sun overhead gets sun + sky light, just above full scale.
 _SUN_COLOR = np.array([[0.98, 0.90, 0.76]], dtype=np.float32).T
 _SKY_LIGHT = np.array([[0.19, 0.23, 0.30]], dtype=np.float32).T  # ambient light on a face that looks up
-_GROUND_LIGHT = np.array([[0.11, 0.10, 0.09]], dtype=np.float32).T  # ... and on one that looks down
+_GROUND_LIGHT = np.array([[0.16, 0.15, 0.135]], dtype=np.float32).T  # ... and on one that looks down
 _ZENITH = np.array([[0.10, 0.31, 0.66]], dtype=np.float32).T
 _HORIZON = np.array([[0.78, 0.86, 0.94]], dtype=np.float32).T
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float32)  # MuJoCo's, of a geom without a colour
