@@ -17,9 +17,14 @@ from aerograsp_env.sim.kernel_math import as_pointer, call_with_two_pointers, cl
 from aerograsp_env.sim.kernel_sensors import advance_slow, read_base, read_imu, read_position, sample_joints
 from aerograsp_env.sim.scene import TIMESTEP
 
-# reward terms, see envs/dock.py
-TERMS = ("position", "precision", "approach", "effort", "crash")
-_POSITION, _PRECISION, _APPROACH, _EFFORT, _CRASH = range(len(TERMS))
+# reward terms, see envs/dock.py: "within" alone makes the sparse reward, the others the dense one
+TERMS = ("position", "precision", "approach", "effort", "crash", "within")
+_POSITION, _PRECISION, _APPROACH, _EFFORT, _CRASH, _WITHIN = range(len(TERMS))
+METRICS = (
+    "error", "error_x", "error_y", "error_z", "bias_x", "bias_y", "bias_z", "std_x", "std_y", "std_z",
+    "effort", "crash", "clamp_force_max",
+)  # fmt: skip
+SUCCESS_ERROR = 0.05  # [m] per axis
 _GAUSSIAN = -math.log(0.1)  # tolerance(): value 0.1 at the margin
 
 
@@ -154,7 +159,37 @@ def _rewards(p, s, distance, seat_distance, terms):
         d = s.actions[0, i] - s.actions[1, i]
         change += d * d
     terms[_EFFORT] = -0.05 * min(change, 4.0)
-    terms[_CRASH] = -10.0 if s.termination != lay.RUNNING else 0.0
+
+
+@njit(cache=True, nogil=True)
+def summarize(p, s, terms, metrics, flags):
+    """What depends on how the step ended: crash and sparse terms, the episode's figures so far, (success, terminated)."""
+    crashed = s.termination != lay.RUNNING
+    terms[_CRASH] = -10.0 if crashed else 0.0
+    count = max(s.error_count, 1)
+    within, held = not crashed, not crashed
+    total = 0.0
+    for i in range(3):
+        mean_abs, bias = s.error_sum[i] / count, s.error_signed[i] / count
+        total += mean_abs / 3.0
+        metrics[1 + i], metrics[4 + i] = mean_abs, bias
+        metrics[7 + i] = math.sqrt(max(s.error_squared[i] / count - bias * bias, 0.0))
+        within = within and abs(s.true_error[i]) <= SUCCESS_ERROR
+        if p.attach == 1:
+            mean_abs = 0.0
+            for k in range(p.settle_steps):
+                mean_abs += s.held[i, k] / p.settle_steps
+        held = held and mean_abs <= SUCCESS_ERROR
+    metrics[0] = total
+    metrics[10] = math.sqrt(s.effort_sum / max(s.step, 1))
+    metrics[11] = 1.0 if crashed else 0.0
+    metrics[12] = s.clamp_force_max
+    if p.attach == 1:
+        within = within and s.coupled == 1
+        held = held and s.coupled == 1 and s.step - s.coupled_step >= p.settle_steps
+    terms[_WITHIN] = 1.0 if within else 0.0
+    flags[0] = held and s.error_count > 0
+    flags[1] = crashed
 
 
 @njit(cache=True, nogil=True)
@@ -228,14 +263,19 @@ def _read(pointers, p, s, noise, bounds, out, specific_force, seat_offset, r, xm
 
 
 @njit(cache=True, nogil=True)
-def step_worlds(step_function, pointers, parameters, states, noise, cursors, actions, bounds, observations, terms, first, last):
-    """Advance worlds first … last−1 by one control step.
+def step_worlds(
+    step_function, pointers, parameters, states, noise, cursors, active, actions, bounds, observations, terms, metrics, flags,
+    first, last,
+):  # fmt: skip
+    """Advance those of the worlds first … last−1 that are `active` (N,) by one control step.
 
     actions (N, A) float64 in [−1, 1]; noise (N, block, NOISE) with `cursors` (N,) saying which row is next; writes observations
-    (N, D) float32 and reward terms (N, 5).
+    (N, D) float32, reward terms (N, len(TERMS)), metrics (N, len(METRICS)) and flags (N, 2) = (success, terminated).
     """
     specific_force, seat_offset, r = np.zeros(3), np.zeros(3), np.empty((3, 3))
     for n in range(first, last):
+        if not active[n]:
+            continue
         p, s = parameters[n], states[n]
         row = noise[n, cursors[n]]
         cursors[n] += 1
@@ -260,6 +300,7 @@ def step_worlds(step_function, pointers, parameters, states, noise, cursors, act
             )
         _read(pointers[n], p, s, row, bounds, observations[n], specific_force, seat_offset, r, xmat)
         _rewards(p, s, distance, seat, terms[n])
+        summarize(p, s, terms[n], metrics[n], flags[n])
 
 
 @njit(cache=True, nogil=True)

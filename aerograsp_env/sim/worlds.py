@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from aerograsp_env.sim import kernel
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import DockConfig
+from aerograsp_env.sim.coupling import clamp
 from aerograsp_env.sim.reset import reset_world
 from aerograsp_env.sim.scene import build_model
 
@@ -33,8 +34,8 @@ def mj_step_address() -> int:
 class Worlds:
     """`n` independent worlds of one configuration.
 
-    Observations are rows of `observations` (n, D) float32 in the order of `layout`; reward terms rows of `terms` (n, 5); what
-    happened is read from `states` (structured array). All three are overwritten by the next call.
+    Results are rows of arrays that the next call overwrites: `observations` (n, D) float32 in the order of `layout`, reward
+    `terms` (n, len(TERMS)), `metrics` (n, len(METRICS)), `flags` (n, 2) bool = (success, terminated); and `states`.
     """
 
     def __init__(self, config: DockConfig, n: int, threads: int | None = None) -> None:
@@ -50,6 +51,9 @@ class Worlds:
         self.bounds = np.concatenate([np.full(size, bound) for _, size, bound in self.layout])
         self.observations = np.zeros((n, len(self.bounds)), np.float32)
         self.terms = np.zeros((n, len(kernel.TERMS)))
+        self.metrics = np.zeros((n, len(kernel.METRICS)))
+        self.flags = np.zeros((n, 2), np.bool_)
+        self.active = np.ones(n, np.bool_)  # worlds that `step` advances
         self._noise = np.zeros((n, lay.NOISE_BLOCK, lay.NOISE))
         self._cursors = np.zeros(n, np.int64)
         self._actions = np.zeros((n, self.action_size))
@@ -71,7 +75,7 @@ class Worlds:
         p, s = self.parameters[i : i + 1].reshape(()), self.states[i : i + 1].reshape(())
         reset_world(self.config, self.model, self.models[i], self.datas[i], rng, options, p, s)
         self.draw_noise(i, rng)
-        self.terms[i] = 0.0
+        self.terms[i], self.metrics[i], self.flags[i] = 0.0, 0.0, False
         kernel.read_worlds(
             self._pointers, self.parameters, self.states, self._noise, self._cursors, self.bounds, self.observations, i, i + 1
         )
@@ -82,26 +86,25 @@ class Worlds:
         self._cursors[index] = 0
 
     def step(self, actions: NDArray[np.float64], rngs: list[np.random.Generator]) -> None:
-        """One control step of every world. actions (n, A) in [−1, 1], already checked."""
-        for i in np.flatnonzero(self._cursors >= lay.NOISE_BLOCK):
+        """One control step of every active world. actions (n, A) in [−1, 1], already checked."""
+        for i in np.flatnonzero(self.active & (self._cursors >= lay.NOISE_BLOCK)):
             self.draw_noise(i, rngs[i])
         self._actions[:] = actions
         fixed = (
             self._step_function, self._pointers, self.parameters, self.states, self._noise, self._cursors,
-            self._actions, self.bounds, self.observations, self.terms,
+            self.active, self._actions, self.bounds, self.observations, self.terms, self.metrics, self.flags,
         )  # fmt: skip
         if self._pool is None:
             kernel.step_worlds(*fixed, 0, self.n)
         else:
             list(self._pool.map(lambda s: kernel.step_worlds(*fixed, *s), self._slices))
-        self._after_step()
-
-    def _after_step(self) -> None:
-        """What is rare and easier outside the compiled loop: collisions and coupling."""
-        for i, data in enumerate(self.datas):
-            if data.ncon and self.states["termination"][i] == lay.RUNNING:
+        for i, data in enumerate(self.datas):  # contacts are rare: the count is read outside the compiled loop
+            if data.ncon and self.active[i] and not self.flags[i, 1]:
                 self.states["termination"][i] = lay.COLLISION
-                self.terms[i, kernel.TERMS.index("crash")] = -10.0
+                kernel.summarize(self.parameters[i], self.states[i], self.terms[i], self.metrics[i], self.flags[i])
+        if self.config.attach:
+            for i in np.flatnonzero(self.active & ((self.states["coupled"] | self.states["wants_coupling"]) != 0)):
+                clamp(self.datas[i], self.parameters, self.states, i)
 
     def close(self) -> None:
         """Stop the worker threads."""

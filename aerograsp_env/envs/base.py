@@ -1,0 +1,138 @@
+"""A Gymnasium environment over one docking world."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from aerograsp_env.envs import dock_task as task
+from aerograsp_env.envs.options import RENDER_MODES, REWARD_MODES, check_action, choose, dock_config
+from aerograsp_env.sim import layout as lay
+from aerograsp_env.sim.config import CONTROL_STEP
+from aerograsp_env.sim.kernel import METRICS
+from aerograsp_env.sim.reset import check_options
+from aerograsp_env.sim.worlds import Worlds
+
+Observation = dict[str, NDArray[np.float32]]
+
+
+class DockBase(gymnasium.Env):
+    """One world of the docking scene; the tasks differ in where an episode begins and what its action may do."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(1.0 / CONTROL_STEP)}
+    attach = False
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        reward_mode: str = "dense",
+        width: int = 480,
+        height: int = 360,
+        camera: str = "side",
+        render_backend: str = "ray",
+        **options: Any,
+    ) -> None:
+        self.reward_mode = choose("reward_mode", reward_mode, REWARD_MODES)
+        if render_mode is not None:
+            choose("render_mode", render_mode, RENDER_MODES)
+        self.render_mode = render_mode
+        self._render_settings = (width, height, choose("camera", camera, ("side", "front")), render_backend)
+        self.config = make_config(self.attach, options)
+        self._worlds = Worlds(self.config, 1)
+        self.observation_space = task.observation_space(self._worlds.layout)
+        self.action_space = spaces.Box(-1.0, 1.0, (self._worlds.action_size,), np.float32)
+        self.action_layout = task.action_layout(self.config)
+        self._slices = tuple(task.slices(self._worlds.layout).items())
+        self._terms = task.term_columns(self.attach, self.reward_mode)
+        self._scene_view: Any = None
+        self._begun = False
+
+    @property
+    def model(self):
+        """This world's MjModel."""
+        return self._worlds.models[0]
+
+    @property
+    def data(self):
+        """This world's MjData."""
+        return self._worlds.datas[0]
+
+    @property
+    def dt(self) -> float:
+        """Seconds per step."""
+        return CONTROL_STEP
+
+    @property
+    def state(self) -> np.void:
+        """The simulator's record of this world (dtype `aerograsp_env.sim.layout.STATE`): the truth, for oracles and tests."""
+        return self._worlds.states[0]
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode.
+
+        options: "set_point" and "start", (3,) offsets from the nominal airframe position [m]; "wind_direction" [rad], the azimuth
+        the mean wind blows towards; "tilt" (2,) of the clamped base about its x and y axes [rad].
+        """
+        checked = check_options(options)
+        super().reset(seed=seed)
+        self._worlds.reset(0, self.np_random, checked)
+        self._begun = True
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advance by `dt`. The episode never truncates here: Gymnasium's TimeLimit does that."""
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("call reset() before step()")
+        self._worlds.step(check_action(action, self.action_space.shape), [self.np_random])
+        info = self._info()
+        return self._observation(), sum(info["reward_terms"].values()), bool(self._worlds.flags[0, 1]), False, info
+
+    def _observation(self) -> Observation:
+        row = self._worlds.observations[0].copy()
+        return {name: row[part] for name, part in self._slices}
+
+    def _info(self) -> dict[str, Any]:
+        worlds = self._worlds
+        terms = worlds.terms[0].tolist()
+        return {
+            "success": bool(worlds.flags[0, 0]),
+            "reward_terms": {name: terms[column] for name, column in self._terms},
+            "metrics": dict(zip(METRICS, worlds.metrics[0].tolist(), strict=True)),
+            "termination": lay.TERMINATIONS[worlds.states["termination"][0]],
+        }
+
+    def render(self) -> NDArray[Any] | None:
+        """The scene as `render_mode` says; joints are coloured by their distance to saturation (green far, red at a limit)."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() was called, but the environment was made without render_mode")
+            return None
+        if self._scene_view is None:
+            from aerograsp_env.sim.scene_view import SceneView
+
+            self._scene_view = SceneView(self.model, self.config, *self._render_settings)
+        return self._scene_view.draw(self.data, self.render_mode)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._scene_view is not None:
+            self._scene_view.close()
+            self._scene_view = None
+        self._worlds.close()
+
+
+def make_config(attach: bool, options: dict[str, Any]):
+    """`dock_config`, with an error that lists the valid names where an option is unknown."""
+    import difflib
+    import inspect
+
+    known = [name for name in inspect.signature(dock_config).parameters if name != "attach"]
+    for name in options:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"unknown option {name!r}{hint}; options: {', '.join(known)}")
+    return dock_config(attach=attach, **options)

@@ -1,0 +1,126 @@
+"""From the names that users pass to `gymnasium.make` to a checked configuration."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.sim.airframe import AIRFRAMES, AirframeConfig
+from aerograsp_env.sim.autopilot import AutopilotConfig
+from aerograsp_env.sim.config import DockConfig, RandomizeConfig
+from aerograsp_env.sim.docking_tool import DockingToolConfig
+from aerograsp_env.sim.sensors import SensorConfig
+from aerograsp_env.sim.wind import WIND_LEVELS, WindConfig
+
+REWARD_MODES = ("dense", "sparse")
+RENDER_MODES = ("rgb_array", "depth_array", "human")
+
+
+def choose(name: str, value: Any, valid: Iterable[str]) -> str:
+    """`value` if it is one of the valid names, else a ValueError with the nearest ones."""
+    names = list(valid)
+    if isinstance(value, str) and value in names:
+        return value
+    near = difflib.get_close_matches(str(value), names, n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"{name} must be one of {', '.join(map(repr, names))}, got {value!r}{hint}")
+
+
+def _instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = None) -> Any:
+    """A configuration value: an instance, one of the names that stand for one, or a mapping of changes to the default."""
+    if isinstance(value, kind):
+        return value
+    if names is not None and isinstance(value, str):
+        return names[choose(name, value, names)]
+    if isinstance(value, dict):  # from a command line or a JSON file
+        try:
+            return kind(**value)
+        except TypeError as error:
+            raise ValueError(f"{name}: {error}") from None
+    known = f" or one of {', '.join(map(repr, names))}" if names else ""
+    raise ValueError(f"{name} must be a {kind.__name__}{known}, got {value!r}")
+
+
+def _range(name: str, value: Any) -> tuple[float, float]:
+    pair = (value, value) if np.isscalar(value) else value
+    try:
+        low, high = (float(v) for v in pair)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number or a pair (low, high) in seconds, got {value!r}") from None
+    return low, high
+
+
+def _triple(name: str, value: Any) -> tuple[float, float, float]:
+    try:
+        array = np.broadcast_to(np.asarray(value, dtype=float), (3,))
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number or three numbers, got {value!r}") from None
+    return float(array[0]), float(array[1]), float(array[2])
+
+
+def dock_config(
+    *,
+    attach: bool,
+    wind: str | WindConfig | dict = "light",
+    localization: str = "dock",
+    docked: bool = True,
+    randomize: bool | RandomizeConfig | dict = False,
+    airframe: str | AirframeConfig = "belerofonte",
+    payload: float = 0.0,
+    velocity_limit: Any = 0.5,
+    command_frame: str = "world",
+    command_delay: Any = 0.0,
+    sensors: SensorConfig | None = None,
+    tool: DockingToolConfig | dict | None = None,
+    autopilot: AutopilotConfig | dict | None = None,
+    config: DockConfig | None = None,
+) -> DockConfig:
+    """The `DockConfig` that these options mean. `config` supplies what no option names (spreads, skip, bounds)."""
+    if not isinstance(docked, (bool, np.bool_)):
+        raise ValueError(f"docked must be True or False, got {docked!r}")
+    base = config if config is not None else DockConfig()
+    if not isinstance(base, DockConfig):
+        raise ValueError(f"config must be a DockConfig, got {config!r}")
+    if isinstance(randomize, (bool, np.bool_)):
+        drawn = RandomizeConfig() if randomize else None
+    else:
+        drawn = _instance("randomize", randomize, RandomizeConfig)
+    pilot = _instance("autopilot", autopilot, AutopilotConfig) if autopilot is not None else base.autopilot
+    choose("command_frame", command_frame, ("world", "heading"))
+    if command_frame != "world":
+        pilot = replace(pilot, command_frame=command_frame)
+    return replace(
+        base,
+        attach=attach,
+        wind=_instance("wind", wind, WindConfig, WIND_LEVELS),
+        localization=choose("localization", localization, ("dock", "gps", "vision", "truth")),
+        docked=bool(docked),
+        randomize=drawn,
+        airframe=_instance("airframe", airframe, AirframeConfig, AIRFRAMES),
+        payload=float(payload),
+        velocity_limit=_triple("velocity_limit", velocity_limit),
+        command_delay=_range("command_delay", command_delay),
+        autopilot=pilot,
+        sensors=_instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
+        tool=_instance("tool", tool, DockingToolConfig) if tool is not None else base.tool,
+    )
+
+
+def check_action(action: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """`action` as float64 clipped to [−1, 1].
+
+    Raises ValueError where its dtype is not numeric, its shape differs or a value is not finite.
+    """
+    array = np.asarray(action)
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"action must be a numeric array of shape {shape}, got {type(action).__name__} of dtype {array.dtype}")
+    if array.shape != shape:
+        raise ValueError(f"action must have shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"action must be finite, got {array.tolist()}")
+    return array.astype(np.float64).clip(-1.0, 1.0)

@@ -1,0 +1,51 @@
+"""The suite's ids, their entry points (strings: nothing is imported until an environment is made) and reference policies."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+
+if TYPE_CHECKING:
+    from aerograsp_env.interfaces import Policy
+
+EPISODE_STEPS = 3000  # 60 s at 50 Hz
+
+ENTRY_POINTS: dict[str, dict[str, str]] = {
+    "aerograsp/Dock-v0": {
+        "entry_point": "aerograsp_env.envs.dock:DockEnv",
+        "vector_entry_point": "aerograsp_env.vector:DockVectorEnv",
+    },
+    "aerograsp/DockAttach-v0": {
+        "entry_point": "aerograsp_env.envs.dock:DockAttachEnv",
+        "vector_entry_point": "aerograsp_env.vector:DockAttachVectorEnv",
+    },
+}
+
+REFERENCE_POLICIES: dict[str, str] = {
+    "aerograsp/Dock-v0": "baselines.policies.dock:pid",
+    "aerograsp/DockAttach-v0": "baselines.policies.dock_attach:pid",
+}
+
+
+def register_envs() -> None:
+    """Register every id once; also the target of the `gymnasium.envs` plugin entry point."""
+    for env_id, points in ENTRY_POINTS.items():
+        if env_id not in gymnasium.registry:
+            gymnasium.register(env_id, max_episode_steps=EPISODE_STEPS, **points)
+
+
+def reference_policy(env_id: str) -> Policy:
+    """The analytic policy of `env_id`, resolved lazily from its string.
+
+    Raises ValueError for an id that has none, naming the nearest that do.
+    """
+    if env_id not in REFERENCE_POLICIES:
+        near = difflib.get_close_matches(str(env_id), REFERENCE_POLICIES, n=3, cutoff=0.4)
+        hint = f"; nearest: {', '.join(near)}" if near else ""
+        raise ValueError(f"no reference policy for {env_id!r}; ids: {', '.join(REFERENCE_POLICIES)}{hint}")
+    module, _, name = REFERENCE_POLICIES[env_id].partition(":")
+    factory: Any = getattr(importlib.import_module(module), name)
+    return factory()

@@ -1,0 +1,13 @@
+"""Reference policies by id: the only modules that read observation dictionaries. Values are "module:factory" strings."""
+
+POLICIES: dict[str, dict[str, str]] = {
+    "aerograsp/Dock-v0": {
+        "pid": "baselines.policies.dock:pid",
+        "pid-tuned": "baselines.policies.dock:pid_tuned",
+        "lqg": "baselines.policies.dock:lqg",
+    },
+    "aerograsp/DockAttach-v0": {
+        "pid": "baselines.policies.dock_attach:pid",
+        "pid-tuned": "baselines.policies.dock_attach:pid_tuned",
+    },
+}
