@@ -112,7 +112,7 @@ def bench(
     }
     episodes = episodes if episodes is not None else QUICK_EPISODES if quick else FULL_EPISODES
     names = list(dict.fromkeys(policies or default_rows(env_id, quick)))
-    facts = provenance(command)
+    facts, sources = provenance(command), _sources()
     _, observation_space = spaces(env_id, kwargs)
     traceable = "position_error" in getattr(observation_space, "spaces", {})
     loaded = [(name, _load(env_id, name, kwargs)) for name in names]
@@ -123,7 +123,7 @@ def bench(
             rows.append(Row(name, note=f"not run: {policy}"))
             continue
         settings = {"id": env_id, "policy": name, "episodes": episodes, "seed": seed, "env_kwargs": kwargs}
-        key = {**settings, "content": content_hash(env_id, name), "commit": facts["commit"], "sources": _sources()}
+        key = {**settings, "content": content_hash(env_id, name), "commit": facts["commit"], "sources": sources}
         key["version"] = facts["versions"].get("aerograsp", "")
         result, reused = stored(folder, key), True
         if result is None or fresh:

@@ -7,7 +7,6 @@ run side by side nor on whether the id has a native batched environment.
 import math
 import sys
 import time
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -222,10 +221,10 @@ def _run(env: VectorEnv, policy: Any, episodes: int, seed: int, progress: bool, 
                 observation, reward, terminated, truncated, info = env.step(action)
                 start = np.zeros(worlds, dtype=np.bool_)
                 ended = running & (terminated | truncated)
-                k = first + np.flatnonzero(running)
-                returns[k] += reward[running]
-                lengths[k] += 1
-                for world in np.flatnonzero(ended):
+                recorded = first + np.flatnonzero(running)
+                returns[recorded] += reward[running]
+                lengths[recorded] += 1
+                for world in np.flatnonzero(ended).tolist():
                     k = first + world
                     success[k] = bool(_entry(info, "success", world, False))
                     terminations[k] = str(_entry(info, "termination", world, "")) if terminated[world] else ""
@@ -291,5 +290,4 @@ def main(argv: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    warnings.filterwarnings("ignore", message=".*found in sys.modules.*", category=RuntimeWarning)
     sys.exit(guarded("aerograsp eval", main, sys.argv[1:]))

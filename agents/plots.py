@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 PALETTE = ("#3b7dd8", "#e8833a", "#3fa66b", "#c4557c", "#8a6fd1", "#2fa3b5", "#b58a1b", "#7a8b3c")
 AXES = {"error_x": "#3b7dd8", "error_y": "#e8833a", "error_z": "#3fa66b"}
-NULL = "#9aa0a6"  # of the rows that do nothing sensible
+NULL = {"zero": "#9aa0a6", "random": "#6d737a"}  # the rows that do nothing sensible
 _OFF_SCALE = 8.0  # a bar this many times the shortest is cut, and its value written
 
 
 def colors(names: Sequence[str]) -> dict[str, str]:
-    """One colour a policy, in their order; grey for zero and random."""
-    active = [name for name in names if name not in ("zero", "random")]
-    return {name: NULL for name in names} | {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(active)}
+    """One colour a policy, in their order; greys for zero and random."""
+    active = [name for name in names if name not in NULL]
+    return NULL | {name: PALETTE[i % len(PALETTE)] for i, name in enumerate(active)}
 
 
 def error_bars(rows: Sequence[Row], published: Sequence[Published], dark: bool) -> bytes:
@@ -32,7 +32,7 @@ def error_bars(rows: Sequence[Row], published: Sequence[Published], dark: bool) 
     groups = len(estimates) + len(published)
     tops = [max(1e3 * e.interval.high for e in found.values()) for _, found in estimates]
     tops += [1e3 * max(value for value, _ in other.values.values()) for other in published]
-    limit = 1.18 * max(top for top in tops if top <= _OFF_SCALE * min(tops))
+    limit = 1.18 * max(top for top in tops if top <= _OFF_SCALE * min(tops)) or 1.0
     figure, axis = _figure(dark, 0.62 * groups + 1.1)
     for group, (_, found) in enumerate(estimates):
         for i, (name, color) in enumerate(AXES.items()):
@@ -61,7 +61,7 @@ def error_bars(rows: Sequence[Row], published: Sequence[Published], dark: bool) 
 
 
 def error_strips(rows: Sequence[Row], dark: bool, name: str = "error", label: str = "mean |error| [mm]") -> bytes:
-    """One point an episode, with the box of quartiles behind, on a logarithmic axis."""
+    """One point an episode, with the box of quartiles behind, on a logarithmic axis where no value is zero."""
     samples = [
         (row.policy, 1e3 * row.values[name][np.isfinite(row.values[name])]) for row in rows if name in row.values
     ]
@@ -114,11 +114,13 @@ def _figure(dark: bool, height: float) -> tuple[Any, Any]:
     # Figure without pyplot: no global state, no display, no backend switched under the caller's feet.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    figure = Figure(figsize=(8.4, max(height, 1.9)), layout="constrained")
+    height = max(height, 1.9)
+    room = 1.0 - 0.26 / height  # leaves space for the legend above the axes
+    figure = Figure(figsize=(8.4, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, room)))
     FigureCanvasAgg(figure)
     figure.patch.set_alpha(0.0)
-    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - 0.26 / max(height, 1.9)))  # room for the legend
     axis = figure.add_subplot()
     axis.patch.set_alpha(0.0)
     axis.spines[["top", "right", "left"]].set_visible(False)

@@ -15,14 +15,13 @@ import numpy as np
 from agents.files import write_atomic
 from agents.statistics import paired_difference
 from agents.table import (
-    PARTIAL_NOTE,
     Column,
     Estimate,
     Published,
     Row,
+    caveats,
     cell,
     columns,
-    partial,
     published_cell,
     table_data,
     table_text,
@@ -127,9 +126,13 @@ def _text(value: object) -> str:
 
 
 def _best(rows: Sequence[Row]) -> Row | None:
-    """The row of the lowest error, among those whose every episode defines one."""
-    whole = [row for row in rows if "error" in row.values and np.isfinite(row.values["error"]).all()]
-    return min(whole, key=lambda row: float(np.mean(row.values["error"])), default=None)
+    """The row of the lowest error, among those whose every episode defines one and at most 1 % of them crash.
+
+    An episode that crashes has its error over the time before only, which flatters a policy that crashes early.
+    """
+    safe = [row for row in rows if np.isfinite(row.values.get("error", np.array([np.nan]))).all()]
+    safe = [row for row in safe if np.mean(row.values.get("crash", np.zeros(1))) <= 0.01]
+    return min(safe, key=lambda row: float(np.mean(row.values["error"])), default=None)
 
 
 def _lead(rows: Sequence[Row], best: Row | None) -> str:
@@ -137,7 +140,7 @@ def _lead(rows: Sequence[Row], best: Row | None) -> str:
         return f'<p class="lead">{len(rows)} policies.</p>'
     low, high = (f"{1e3 * bound:.1f}" for bound in estimate.interval)
     return (
-        f'<p class="lead">The lowest error is <strong>{_text(best.policy)}</strong>’s: '
+        f'<p class="lead">The lowest error without crashes is <strong>{_text(best.policy)}</strong>’s: '
         f"<strong>{1e3 * estimate.mean:.1f} mm</strong> mean |error| per axis, 95 % interval {low} to {high} mm "
         f"over {estimate.episodes} pinned episodes.</p>"
     )
@@ -170,7 +173,7 @@ def _split(text: str) -> str:
 
 def _notes(rows: Sequence[Row], published: Sequence[Published]) -> str:
     notes = ["Means over episodes; 95 % percentile bootstrap intervals in brackets."]
-    notes += [PARTIAL_NOTE] * partial(rows)
+    notes += caveats(rows)
     notes += [f"{row.policy}: {row.note}" for row in rows if row.note]
     notes += [f"{other.label}: {other.source}" for other in published]
     return '<ul class="notes">' + "".join(f"<li>{_text(note)}</li>" for note in notes) + "</ul>"
@@ -185,7 +188,7 @@ def _figures(rows: Sequence[Row], published: Sequence[Published], traces: Sequen
         bars = _figure(lambda dark: plots.error_bars(rows, published, dark), "Mean |error| per axis.", caption)
         parts += ["<h2>Error per axis</h2>", bars]
     if any(row.estimate("error") for row in rows):
-        caption = "One point an episode; box: quartiles and median; logarithmic axis."
+        caption = "One point an episode; box: quartiles and median."
         strips = _figure(lambda dark: plots.error_strips(rows, dark), "Error of every episode, by policy.", caption)
         parts += ["<h2>Episode by episode</h2>", strips]
     if traces:

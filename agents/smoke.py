@@ -10,6 +10,7 @@
 | floor | the id's own policies succeed in at least half of the episodes |
 """
 
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -134,7 +135,10 @@ def _run(env: gymnasium.Env, policy: Any, episodes: int, seed: int, failures: di
     shape = (1, *(space.shape or ()))
     for k in range(episodes):
         observation, info = env.reset(seed=seed + k)
-        observations, actions, rewards, done = [], [], [], False
+        observations: list[Any] = []
+        actions: list[NDArray] = []
+        rewards: list[float] = []
+        done = False
         start = np.array([True])
         while not done:
             if not env.observation_space.contains(observation):
@@ -147,7 +151,7 @@ def _run(env: gymnasium.Env, policy: Any, episodes: int, seed: int, failures: di
                 break
             actions.append(action[0])
             observation, reward, terminated, truncated, info = env.step(action[0])
-            if not np.isfinite(reward):
+            if not math.isfinite(reward):
                 failures.setdefault("worlds", f"step {len(rewards)}: reward {reward}")
             rewards.append(float(reward))
             start, done = np.array([False]), terminated or truncated

@@ -113,13 +113,15 @@ def published_cell(row: Published, column: Column) -> str:
     return " ± ".join(f"{column.scale * value:.{column.digits}f}" for value in row.values[column.name])
 
 
-def partial(rows: Sequence[Row]) -> bool:
-    """Whether any shown value is over only a part of the episodes."""
+def caveats(rows: Sequence[Row]) -> list[str]:
+    """What a reader must know about values over a part of the episodes or of their time."""
+    notes = []
     estimates = [(row, row.estimate(column.name)) for row in rows for column in columns(rows)]
-    return any(estimate is not None and estimate.episodes < row.episodes for row, estimate in estimates)
-
-
-PARTIAL_NOTE = "(n): over the n episodes that lasted long enough to define it."
+    if any(estimate is not None and estimate.episodes < row.episodes for row, estimate in estimates):
+        notes.append("(n): over the n episodes that lasted long enough to define it.")
+    if any((row.values.get("crash", np.zeros(1)) > 0.0).any() for row in rows):
+        notes.append("An episode that crashed counts with its errors before the crash: read errors beside crash rates.")
+    return notes
 
 
 def table_text(rows: Sequence[Row], markdown: bool = False, published: Sequence[Published] = ()) -> str:
@@ -133,7 +135,7 @@ def table_text(rows: Sequence[Row], markdown: bool = False, published: Sequence[
         lines.append([other.label, *(published_cell(other, column) for column in shown), "—"])
     notes = [f"{row.policy}: {row.note}" for row in rows if row.note]
     notes += [f"{other.label}: {other.source}" for other in published]
-    notes += [PARTIAL_NOTE] * partial(rows)
+    notes += caveats(rows)
     if any(column.interval for column in shown):
         notes.insert(0, "Means over episodes, with 95 % bootstrap intervals in brackets.")
     if markdown:

@@ -53,4 +53,4 @@ def trace(
             start, done = np.zeros(1, dtype=np.bool_), bool(terminated[0] or truncated[0])
     finally:
         env.close()
-    return Trace(label or str(policy), dt * np.arange(len(errors)), np.array(errors))
+    return Trace(label or str(policy), dt * np.arange(len(errors), dtype=np.float64), np.array(errors))

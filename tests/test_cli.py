@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import toy_env
@@ -163,7 +164,13 @@ def test_bench_goes_on_where_it_was_interrupted(tmp_path: Path, monkeypatch: pyt
 
     interrupted: list[bool] = []
     monkeypatch.setattr(benchmark, "evaluate", counting)
-    options = {"env_id": TOY, "policies": ["p", "zero"], "episodes": 2, "out_dir": tmp_path, "progress": False}
+    options: dict[str, Any] = {
+        "env_id": TOY,
+        "policies": ["p", "zero"],
+        "episodes": 2,
+        "out_dir": tmp_path,
+        "progress": False,
+    }
     with pytest.raises(KeyboardInterrupt):
         bench(**options)
     assert not (tmp_path / "report.html").exists()

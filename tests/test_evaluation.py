@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -39,7 +40,7 @@ def by_hand(policy, seed: int, episodes: int) -> list[dict]:
         while not done:
             action, state = policy.predict(observation, state)
             observation, reward, terminated, truncated, info = env.step(action)
-            total, length, done = total + reward, length + 1, terminated or truncated
+            total, length, done = total + float(reward), length + 1, terminated or truncated
         rows.append({"returns": total, "lengths": length, "success": info["success"], **info["metrics"]})
     return rows
 
@@ -54,7 +55,7 @@ def test_every_number_is_what_a_loop_by_hand_gives() -> None:
 @pytest.mark.parametrize("policy", ["zero", "random", "toy_env:Proportional"])
 @pytest.mark.parametrize("noise", [0.05, 0.4])  # the latter terminates episodes early, at different times
 def test_results_do_not_depend_on_how_the_episodes_are_run(policy: str, noise: float) -> None:
-    options = {"env_kwargs": {"noise": noise}, "episodes": 7, "seed": 11}
+    options: dict[str, Any] = {"env_kwargs": {"noise": noise}, "episodes": 7, "seed": 11}
     single = evaluate(TOY_SINGLE, policy, **options)
     for env_id, num_envs in [(TOY, None), (TOY, 1), (TOY, 3), (TOY_SINGLE, 4), (TOY, 100)]:
         assert same(single, evaluate(env_id, policy, num_envs=num_envs, **options))

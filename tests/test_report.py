@@ -60,7 +60,10 @@ class Checker(HTMLParser):
 
 
 def page(**changes) -> str:
-    lines = [Trace("pid", np.arange(50) * 0.1, np.full(50, 0.03)), Trace("zero", np.arange(9) * 0.1, np.zeros(9))]
+    lines = [
+        Trace("pid", np.linspace(0.0, 4.9, 50), np.full(50, 0.03)),
+        Trace("zero", np.linspace(0.0, 0.8, 9), np.zeros(9)),
+    ]
     content = {"title": "Dock <v0>", "rows": ROWS, "provenance": provenance("cmd"), "published": PUBLISHED}
     return html_report(**{**content, "settings": {"seeds": "5 to 16"}, "traces": lines, **changes})
 
@@ -149,3 +152,12 @@ def test_json_values() -> None:
     assert to_json(value) == {"a": 0.5, "1": [[0, 1], None], "p": "x"}
     with pytest.raises(ValueError, match="set"):
         to_json({1, 2})
+
+
+def test_a_policy_that_crashes_is_never_called_the_best() -> None:
+    early = row("early", 1e-4)
+    early.values["crash"][:6] = 1.0
+    text = page(rows=[early, *ROWS])
+    assert "without crashes is <strong>a&lt;b&gt;&amp;c" in text
+    assert "before the crash" in text and "before the crash" not in page()
+    assert "2 policies." in page(rows=[early, ROWS[0]])

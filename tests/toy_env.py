@@ -83,7 +83,8 @@ class HoldVectorEnv(VectorEnv):
         return _stack([env.reset(seed=s)[0] for env, s in zip(self._envs, seeds, strict=True)]), {}
 
     def step(self, actions: NDArray) -> tuple[dict, NDArray, NDArray, NDArray, dict]:
-        observations, infos = [], {}
+        observations: list[dict[str, NDArray]] = []
+        infos: dict[str, Any] = {}
         rewards = np.zeros(self.num_envs)
         terminated, truncated = np.zeros((2, self.num_envs), dtype=bool)
         for i, env in enumerate(self._envs):
@@ -160,8 +161,8 @@ def not_a_policy() -> int:
 def register() -> None:
     """Register the ids once."""
     if TOY not in gymnasium.registry:
-        gymnasium.register(TOY, HoldEnv, max_episode_steps=STEPS, vector_entry_point=HoldVectorEnv)
-        gymnasium.register(TOY_SINGLE, HoldEnv, max_episode_steps=STEPS)
+        gymnasium.register(TOY, "toy_env:HoldEnv", max_episode_steps=STEPS, vector_entry_point="toy_env:HoldVectorEnv")
+        gymnasium.register(TOY_SINGLE, "toy_env:HoldEnv", max_episode_steps=STEPS)
 
 
 POLICIES = {TOY: {"p": "toy_env:Proportional"}, TOY_SINGLE: {"p": "toy_env:Proportional"}}
