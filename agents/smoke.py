@@ -85,9 +85,8 @@ def smoke(
 
     chosen = list(ids or env_ids())
     pairs = [(env_id, name) for env_id in chosen for name in _names(env_id, policies)]
-    for name in policies or ():
-        if name not in {other for _, other in pairs}:
-            load_policy(chosen[0], name)  # says what is wrong with it
+    for name in policies or ():  # a name that is wrong is the caller's mistake, not a failed check
+        load_policy(next((env_id for env_id, other in pairs if other == name), chosen[0]), name)
     rows = []
     for env_id, name in tqdm(pairs, desc="smoke", leave=False, disable=None if progress else True):
         limit = steps or min(env_spec(env_id).max_episode_steps or STEPS, LONGER.get(env_id, STEPS))
@@ -104,14 +103,13 @@ def _names(env_id: str, policies: Sequence[str] | None) -> list[str]:
 
 
 def check(env_id: str, name: str, episodes: int, steps: int, seed: int, floor: float) -> SmokeRow:
-    """Run all checks of one policy on one id. What the policy raises is a failed check, "run"."""
+    """Run all checks of one policy on one id. What the policy raises, loading it included, is a failed check, "run"."""
     began = time.perf_counter()
-    policy = load_policy(env_id, name)
     env = gymnasium.make(env_id, disable_env_checker=True, max_episode_steps=steps)
     failures: dict[str, str] = {}
     rate = float("nan")
     try:
-        first = _run(env, policy, episodes, seed, failures)
+        first = _run(env, load_policy(env_id, name), episodes, seed, failures)
         rate = float(np.mean([episode.success for episode in first]))
         if not failures:
             again = _run(env, load_policy(env_id, name), episodes, seed, {})

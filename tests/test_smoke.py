@@ -84,6 +84,12 @@ def test_the_floor_holds_for_the_ids_own_policies_only(monkeypatch: pytest.Monke
     assert list(failures("p")) == ["floor"]
 
 
+def test_a_registered_policy_that_cannot_be_loaded_is_a_failed_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(toy_env.POLICIES, TOY, {"p": "toy_env:Proportional", "gone": "no_such_module:make"})
+    rows = {row.policy: row for row in smoke([TOY], episodes=1)}
+    assert "no module" in rows["gone"].failures["run"] and rows["p"].passed
+
+
 def test_observations_outside_their_space_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         toy_env.HoldEnv,
