@@ -104,7 +104,7 @@ def _physics(step_function, pointers, p, s, noise):
         rotors(p, s, truth, qpos, qvel, thrusts, ctrl, xfrc)
         if s.locked == 1:
             a = p.joint_address[0]
-            hold = -p.lock_stiffness * qpos[a] - 0.05 * p.lock_stiffness * qvel[a - 1]
+            hold = -p.lock_stiffness * qpos[a] - 0.01 * p.lock_stiffness * qvel[a - 1]
             qfrc[a - 1] = clip(hold, -p.lock_torque, p.lock_torque)
         else:
             qfrc[p.joint_address[0] - 1] = 0.0
