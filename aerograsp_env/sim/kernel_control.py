@@ -125,7 +125,7 @@ def rotors(p, s, r, position, velocity, thrusts, ctrl, wrench):
     for i in range(3):
         force[i] = -body * air[i]
     for k in range(6):
-        command = min(math.sqrt(thrusts[k] / p.thrust_constant), p.speed_max)
+        command = min(math.sqrt(thrusts[k] / p.believed_thrust_constant), p.speed_max)
         gap = command - s.rotor_speed[k]
         s.rotor_speed[k] += (p.spin_up if gap > 0.0 else p.spin_down) * gap
         omega = s.rotor_speed[k]

@@ -47,6 +47,7 @@ PARAMETERS = np.dtype(
         ("drag_area", F),
         # autopilot
         ("believed_mass", F),
+        ("believed_thrust_constant", F),
         ("thrust_max", F),
         ("mixer", F, (6, 4)),
         ("torque_scale", F, (3,)),

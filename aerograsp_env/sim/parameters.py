@@ -41,6 +41,7 @@ def make_parameters(config: DockConfig, model: mujoco.MjModel) -> np.ndarray:
     p["rotor_drag"], p["rotor_radius"], p["drag_area"] = rotor.drag, rotor.radius, airframe.drag_area
 
     p["believed_mass"] = mass + sum(tool.link_masses)
+    p["believed_thrust_constant"] = rotor.thrust_constant
     p["thrust_max"] = rotor.thrust_max
     p["mixer"] = np.linalg.pinv(airframe.allocation(com))
     p["torque_scale"] = airframe.torque_scale()
