@@ -49,7 +49,7 @@ class DockEnv(DockBase):
 
     Success: no termination, and the mean true |error| of every axis after the first 5 s ≤ 0.05 m.
 
-    Termination (`info["termination"]`): a tool joint at its mechanical limit, a collision, a clamp force above the tool's strength,
+    Termination (`info["termination"]`): a tool joint pressed through its printed stop, a collision, a clamp force above the tool's strength,
     the vehicle out of bounds. `info["metrics"]` holds mean |error|, bias and spread per axis after 5 s, effort (rms change of
     action per step), crash and the largest clamp force.
 

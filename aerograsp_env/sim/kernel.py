@@ -48,17 +48,29 @@ def _estimated_attitude(s, xmat, r):
 
 
 @njit(cache=True, nogil=True)
-def _check_limits(p, s, qpos):
-    """Joint-limit termination of a coupled tool, armed once every joint has been within its signal range."""
+def _stops(p, s, qpos, qvel, qfrc):
+    """Torques of the printed stops at the mechanical limits, and of the servo that locks θ0 in flight.
+
+    A stop bent too far breaks. Limits count for a coupled tool, and once every joint has been within its signal range.
+    """
     inside = True
     for j in range(5):
-        q = qpos[p.joint_address[j]]
-        if q < p.signal_limits[j, 0] or q > p.signal_limits[j, 1]:
-            inside = False
-        if s.armed == 1 and (q < p.mechanical_limits[j, 0] or q > p.mechanical_limits[j, 1]):
-            s.termination = lay.JOINT_LIMIT
-    if inside:
+        a = p.joint_address[j]
+        q, low, high = qpos[a], p.mechanical_limits[j, 0], p.mechanical_limits[j, 1]
+        torque, bend = 0.0, 0.0
+        if q < low or q > high:
+            bend = q - (low if q < low else high)
+            torque = -p.stop_stiffness * bend - p.stop_damping * qvel[a - 1]
+            if s.armed == 1 and abs(bend) > p.stop_give:
+                s.termination = lay.JOINT_LIMIT
+        inside = inside and p.signal_limits[j, 0] <= q <= p.signal_limits[j, 1]
+        qfrc[a - 1] = torque
+    if inside and s.coupled == 1:
         s.armed = 1
+    if s.locked == 1:
+        a = p.joint_address[0]
+        hold = -p.lock_stiffness * qpos[a] - 0.01 * p.lock_stiffness * qvel[a - 1]
+        qfrc[a - 1] += clip(hold, -p.lock_torque, p.lock_torque)
 
 
 @njit(cache=True, nogil=True)
@@ -102,12 +114,7 @@ def _physics(step_function, pointers, p, s, noise):
             set_point[0], set_point[1] = math.cos(h) * a - math.sin(h) * b, math.sin(h) * a + math.cos(h) * b
         autopilot(p, s, r, set_point, yaw_rate, thrusts)
         rotors(p, s, truth, qpos, qvel, thrusts, ctrl, xfrc)
-        if s.locked == 1:
-            a = p.joint_address[0]
-            hold = -p.lock_stiffness * qpos[a] - 0.01 * p.lock_stiffness * qvel[a - 1]
-            qfrc[a - 1] = clip(hold, -p.lock_torque, p.lock_torque)
-        else:
-            qfrc[p.joint_address[0] - 1] = 0.0
+        _stops(p, s, qpos, qvel, qfrc)
         call_with_two_pointers(step_function, model, data)
         samples = sample_joints(p, s, qpos, qvel, tick, joint_noise, samples)
         if s.coupled == 1:
@@ -115,7 +122,6 @@ def _physics(step_function, pointers, p, s, noise):
             s.clamp_force_max = max(s.clamp_force_max, force)
             if force > p.overload_force:
                 s.termination = lay.OVERLOAD
-            _check_limits(p, s, qpos)
     for i in range(13):
         if not math.isfinite(qpos[i]):
             s.termination = lay.DIVERGED

@@ -99,6 +99,9 @@ PARAMETERS = np.dtype(
         ("tip_rotation", F, (3, 3)),  # R_tip_body
         ("seat_rotation", F, (3, 3)),  # R_world_base as the vehicle believes it
         ("seat_position", F, (3,)),
+        ("stop_stiffness", F),
+        ("stop_damping", F),
+        ("stop_give", F),  # bend at which a stop breaks [rad]
         ("overload_force", F),
         ("lock_torque", F),
         ("lock_stiffness", F),

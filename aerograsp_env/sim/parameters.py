@@ -67,6 +67,8 @@ def make_parameters(config: DockConfig, model: mujoco.MjModel) -> np.ndarray:
     p["joint_address"] = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
     p["tip_position"], p["tip_rotation"] = airframe.tip_position, R_TIP_BODY
     p["seat_rotation"], p["seat_position"] = R_WORLD_BASE, DOCK_POSITION
+    p["stop_stiffness"], p["stop_damping"] = tool.stop_stiffness, tool.stop_damping
+    p["stop_give"] = tool.stop_strength / tool.stop_stiffness
     p["overload_force"], p["lock_torque"], p["lock_stiffness"] = tool.overload_force, tool.lock_torque, tool.lock_stiffness
 
     p["localization"] = lay.LOCALIZATIONS[config.localization]

@@ -19,7 +19,7 @@ from aerograsp_env.sim.parameters import make_parameters, set_sensors
 from aerograsp_env.sim.scene import DOCK_POSITION, JOINT_NAMES, TIMESTEP, quaternion
 from aerograsp_env.sim.wind import dryden_coefficients
 
-HANGING = np.array([0.0, 0.0, np.radians(37.0), np.radians(53.0), 0.0])  # θ of the tool at rest below the vehicle [rad]
+HANGING = np.array([0.0, 0.0, np.radians(33.0), np.radians(57.0), 0.0])  # θ of the tool at rest below the vehicle [rad]
 RESET_OPTIONS = ("set_point", "start", "wind_direction", "tilt")
 
 
@@ -98,7 +98,7 @@ def _place(config: DockConfig, p: np.ndarray, model, data, start, tilt) -> None:
         data.eq_active[0] = 0
         return
     data.eq_active[0] = 1
-    data.qpos[address] = np.radians([0.0, 4.0, 117.0, -31.0, 0.0])  # close to the nominal: the solution's branch
+    data.qpos[address] = np.radians([0.0, 5.0, 109.0, -24.0, 0.0])  # close to the nominal: the solution's branch
     gap = close_loop(model, data)
     limits = p["mechanical_limits"]
     q = data.qpos[address]
@@ -115,12 +115,12 @@ def _trim(p: np.ndarray, s: np.ndarray, config: DockConfig, model, data) -> None
     com = data.subtree_com[body] - data.qpos[:3]
     thrusts = np.linalg.pinv(config.airframe.allocation(com)) @ np.array([mass * GRAVITY, 0.0, 0.0, 0.0])
     s["rotor_speed"] = np.sqrt(np.maximum(thrusts, 0.0) / p["thrust_constant"])
-    s["rate_integral"] = (config.airframe.allocation(p["com"]) @ thrusts)[1:] / p["torque_scale"]
+    scale = config.airframe.rotor.thrust_constant / float(p["thrust_constant"])  # commanded thrust per thrust
+    s["rate_integral"] = scale * (config.airframe.allocation(p["com"]) @ thrusts)[1:] / p["torque_scale"]
     wind = s["wind"]
     drag = 0.5 * AIR_DENSITY * p["drag_area"] * np.linalg.norm(wind) * wind
     drag[:2] += p["rotor_drag"] * s["rotor_speed"].sum() * wind[:2]
     believed = float(p["believed_mass"])
-    scale = config.airframe.rotor.thrust_constant / float(p["thrust_constant"])
     vertical = (mass * GRAVITY - drag[2]) * scale / believed - GRAVITY
     s["velocity_integral"] = np.array([-drag[0] * scale / believed, -drag[1] * scale / believed, vertical])
     s["velocity_integral"] += p["velocity_p"] * s["velocity_error"]  # the loop has settled with the present estimate's error

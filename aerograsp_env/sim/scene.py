@@ -62,12 +62,14 @@ def _airframe_geoms(airframe: AirframeConfig) -> str:
     return "\n".join(lines)
 
 
-def _link(name: str, joint: str, axis: int, limits: np.ndarray, pos: tuple[float, float, float], content: str) -> str:
+def _link(
+    name: str, joint: str, axis: int, limits: np.ndarray, pos: tuple[float, float, float], content: str, stiffness: float = 0.0
+) -> str:
     """One body of the chain seen from the tip. Turning θ moves the tip forwards, so the hinge's axis is reversed here."""
     unit = np.eye(3)[axis]
     return (
         f'<body name="{name}" pos="{_numbers(*pos)}">'
-        f'<joint name="{joint}" class="tool" axis="{_numbers(*-unit)}" range="{_numbers(*limits)}"/>'
+        f'<joint name="{joint}" class="tool" axis="{_numbers(*-unit)}" range="{_numbers(*limits)}" stiffness="{stiffness:.6g}"/>'
         f'<geom name="{joint}_hub" type="cylinder" size="0.016 0.014" zaxis="{_numbers(*unit)}" rgba="0.2 0.7 0.3 1" class="look"/>'
         f"{content}</body>"
     )
@@ -95,7 +97,7 @@ def _tool(tool: DockingToolConfig) -> str:
     body = _link("tool_riser", "theta1", 0, limits[1], (0.0, 0.0, -l1), bar(2, l0, m0) + body)
     body = _link("tool_link1", "theta2", 0, limits[2], (0.0, 0.0, -l2), bar(2, l1, m1) + body)
     body = _link("tool_link2", "theta3", 0, limits[3], (0.0, 0.0, -l3), bar(2, l2, m2) + body)
-    body = _link("tool_link3", "theta4", 1, limits[4], (0.0, -l4, 0.0), bar(2, l3, m3) + body)
+    body = _link("tool_link3", "theta4", 1, limits[4], (0.0, -l4, 0.0), bar(2, l3, m3) + body, tool.heading_stiffness)
     return f'{bar(1, l4, m4)}<site name="tip"/>{body}'
 
 
@@ -130,7 +132,7 @@ def scene_xml(airframe: AirframeConfig, tool: DockingToolConfig) -> str:
     <default class="look"><geom contype="0" conaffinity="0" mass="0" group="1"/></default>
     <default class="scene"><geom contype="2" conaffinity="1" group="0"/></default>
     <default class="tool"><joint type="hinge" damping="{tool.joint_damping:.6g}" armature="{tool.joint_armature:.6g}"
-      solreflimit="0.01 1"/></default>
+      limited="false"/></default>
   </default>
   <worldbody>
     <light name="sun" directional="true" pos="3 -4 9" dir="-0.35 0.45 -0.82" diffuse="0.75 0.75 0.72" castshadow="true"/>

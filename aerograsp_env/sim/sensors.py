@@ -114,8 +114,8 @@ class SensorConfig:
     tool: ToolSensorConfig = field(default_factory=ToolSensorConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
     velocity_wander_time: float = 20.0  # of `velocity_limit` [s]
-    velocity_std: float = 0.02  # [m/s]
-    velocity_time: float = 0.2  # [s]
+    velocity_std: float = 0.015  # [m/s]
+    velocity_time: float = 0.1  # [s]
 
     def __post_init__(self) -> None:
         _check_nonnegative(self)
