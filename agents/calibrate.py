@@ -1,8 +1,8 @@
 """Calibrate the sensors' noise against the thesis's Table 5.3, on seeds of its own.
 
 Only noise amplitudes change, each by the ratio of the published figure to the simulated one, over and over:
-GPS offsets follow the mean errors and its wander the spreads; vision's wander follows the mean errors and, on the axis whose
-spread is larger than wander alone can make it, its slips the spread; docked, the velocity estimate's wander follows both.
+GPS offsets follow the mean errors and its wander the spreads; vision's wander and, on the axis whose
+spread is larger than wander alone can make it, its slips follow both; docked, the velocity estimate's wander does.
 The result is printed as the defaults of `aerograsp_env.sim.sensors.SensorConfig`, where it stands.
 """
 
@@ -48,9 +48,8 @@ def adjusted(sensors: SensorConfig, source: str, ratio: NDArray[np.float64], dam
     if source == "gps":
         config = replace(config, offset=times("offset", mean), wander_limit=times("wander_limit", spread))
     elif source == "vision":
-        slips = np.asarray(config.jump_size) > 0
-        wander = np.where(slips, mean, np.sqrt(mean * spread))
-        config = replace(config, wander_limit=times("wander_limit", wander), jump_size=times("jump_size", spread))
+        both = np.sqrt(mean * spread)
+        config = replace(config, wander_limit=times("wander_limit", both), jump_size=times("jump_size", both))
     else:
         config = replace(config, velocity_limit=times("velocity_limit", np.sqrt(mean * spread)))
         sensors = replace(sensors, truth=replace(sensors.truth, velocity_limit=config.velocity_limit))

@@ -56,13 +56,12 @@ def advance_slow(p, s, noise):
         a = p.source_wander_blend
         s.source_wander[i] = a * s.source_wander[i] + math.sqrt(1.0 - a * a) * noise[_SOURCE + i]
     slow_errors(p, s)
-    slipped = s.source_jump[0] != 0.0 or s.source_jump[1] != 0.0 or s.source_jump[2] != 0.0
-    chance = 0.5 * (1.0 + bounded(noise[_JUMP]))
-    if slipped and chance < p.source_jump_stop:
+    since = (s.step + s.jump_phase) % p.source_jump_period  # steps since the last slip of the tracker began
+    if since == 0:
+        for i in range(3):  # forth or back along one line
+            s.source_jump[i] = math.copysign(p.source_jump_size[i], noise[_JUMP])
+    elif since == p.source_jump_steps:
         s.source_jump[:] = 0.0
-    elif not slipped and chance < p.source_jump_start:
-        for i in range(3):  # one draw sets the size: a slip goes along one line
-            s.source_jump[i] = p.source_jump_size[i] * noise[_JUMP + 1]
 
 
 @njit(cache=True, nogil=True)

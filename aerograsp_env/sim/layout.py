@@ -83,8 +83,8 @@ PARAMETERS = np.dtype(
         ("source_wander_limit", F, (3,)),
         ("source_wander_blend", F),
         ("source_jump_size", F, (3,)),
-        ("source_jump_start", F),  # probability per control step
-        ("source_jump_stop", F),
+        ("source_jump_period", np.int64),  # control steps
+        ("source_jump_steps", np.int64),
         ("source_white_std", F, (3,)),
         ("potentiometer_std", F),
         ("potentiometer_quantum", F),
@@ -154,6 +154,7 @@ STATE = np.dtype(
         ("source_offset", F, (3,)),
         ("source_wander", F, (3,)),
         ("source_jump", F, (3,)),
+        ("jump_phase", np.int64),
         ("source_estimate", F, (3,)),
         ("source_error", F, (3,)),
         ("potentiometer_offset", F, (5,)),

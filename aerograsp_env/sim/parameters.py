@@ -95,8 +95,8 @@ def set_sensors(p: np.ndarray, config: DockConfig, sensors: SensorConfig) -> Non
     p["source_period"] = max(round(1.0 / (far.rate * CONTROL_STEP)), 1)
     p["source_wander_limit"], p["source_wander_blend"] = far.wander_limit, _blend(far.wander_time, CONTROL_STEP)
     p["source_jump_size"] = far.jump_size
-    p["source_jump_start"] = CONTROL_STEP / far.jump_interval if any(far.jump_size) else 0.0
-    p["source_jump_stop"] = CONTROL_STEP / far.jump_duration
+    p["source_jump_period"] = max(round(far.jump_interval / CONTROL_STEP), 1)
+    p["source_jump_steps"] = round(far.jump_duration / CONTROL_STEP)
     p["source_white_std"] = far.white_std
     p["potentiometer_std"] = tool.white_std
     p["potentiometer_quantum"] = tool.electrical_range / 2**tool.adc_bits

@@ -141,6 +141,7 @@ def reset_world(config: DockConfig, nominal: mujoco.MjModel, model, data, rng, o
     tilt = rng.normal(0.0, config.tilt_std, 2)
     gusts, slow, bias = rng.standard_normal(5), rng.standard_normal(12), rng.standard_normal(17)
     signs = rng.choice([-1.0, 1.0], 3)
+    phase = rng.uniform()
     reach = 2.0 if config.attach or not config.docked else 0.12
     given = offset_option(options, "set_point", 0.12)
     set_point = set_point if given is None else given
@@ -165,6 +166,7 @@ def reset_world(config: DockConfig, nominal: mujoco.MjModel, model, data, rng, o
     s["velocity_wander"], s["velocity_fast"], s["attitude_wander"], s["source_wander"] = slow.reshape(4, 3)
     sensors = config.sensors
     source = sensors.vision if config.attach else getattr(sensors, config.localization)
+    s["jump_phase"] = 1 + int(phase * (p["source_jump_period"] - 1))
     s["source_offset"] = signs * source.offset
     s["gyro_bias"] = sensors.imu.gyro_bias_std * bias[:3]
     s["acceleration_bias"] = sensors.imu.acceleration_bias_std * bias[3:6]

@@ -29,15 +29,15 @@ def _check_nonnegative(config: object) -> None:
 
 @dataclass(frozen=True)
 class PositionSourceConfig:
-    """A world-frame position source. Per axis: offset (fixed size, sign drawn per episode) + wandering + jumps + white noise."""
+    """A world-frame position source. Per axis: offset (fixed size, sign drawn per episode) + wandering + slips + white noise."""
 
     rate: float  # [Hz]; must divide the control rate
     offset: Triple = (0.0, 0.0, 0.0)  # [m]
     wander_limit: Triple = (0.0, 0.0, 0.0)  # [m]
     wander_time: float = 20.0  # [s]
-    jump_size: Triple = (0.0, 0.0, 0.0)  # [m] standard deviation of a tracking slip, one axis' own
-    jump_interval: float = 20.0  # mean time between slips [s]
-    jump_duration: float = 2.0  # mean time until the tracker recovers [s]
+    jump_size: Triple = (0.0, 0.0, 0.0)  # [m] of a tracking slip, forth or back; they recur at an interval, the first at a drawn time
+    jump_interval: float = 20.0  # between the beginnings of two slips [s]
+    jump_duration: float = 2.0  # until the tracker recovers [s]
     white_std: Triple = (0.0, 0.0, 0.0)  # [m]
     velocity_limit: Triple = (0.0, 0.0, 0.0)  # wander of the autopilot's velocity estimate with this source [m/s]
 
@@ -74,7 +74,7 @@ class ImuConfig:
     gyro_bias_std: float = 0.002  # left after the estimator's correction [rad/s]
     acceleration_std: float = 0.05  # per control step [m/s²]
     acceleration_bias_std: float = 0.05  # [m/s²]
-    attitude_limit: float = 0.005  # wander of estimated roll, pitch and yaw [rad]
+    attitude_limit: float = 0.003  # wander of estimated roll, pitch and yaw [rad]
     attitude_time: float = 30.0  # [s]
 
     def __post_init__(self) -> None:
@@ -88,9 +88,9 @@ class SensorConfig:
     gps: PositionSourceConfig = field(
         default_factory=lambda: PositionSourceConfig(
             rate=10.0,
-            offset=(0.15, 0.12, 0.17),
-            wander_limit=(0.13, 0.21, 0.15),
-            wander_time=30.0,
+            offset=(0.148, 0.067, 0.164),
+            wander_limit=(0.187, 0.310, 0.198),
+            wander_time=15.0,
             white_std=(0.02, 0.02, 0.02),
             velocity_limit=(0.02, 0.02, 0.01),
         )
@@ -98,18 +98,20 @@ class SensorConfig:
     vision: PositionSourceConfig = field(
         default_factory=lambda: PositionSourceConfig(
             rate=25.0,
-            wander_limit=(0.04, 0.01, 0.04),
+            wander_limit=(0.047, 0.0, 0.053),
             wander_time=8.0,
-            jump_size=(0.0, 0.15, 0.0),
+            jump_size=(0.0, 0.34, 0.0),
+            jump_interval=55.0,
+            jump_duration=1.0,
             white_std=(0.005, 0.005, 0.005),
-            velocity_limit=(0.01, 0.005, 0.004),
+            velocity_limit=(0.01, 0.0, 0.004),
         )
     )
     dock: PositionSourceConfig = field(
-        default_factory=lambda: PositionSourceConfig(rate=50.0, velocity_limit=(0.06, 0.06, 0.03))
+        default_factory=lambda: PositionSourceConfig(rate=50.0, velocity_limit=(0.060, 0.067, 0.040))
     )
     truth: PositionSourceConfig = field(
-        default_factory=lambda: PositionSourceConfig(rate=50.0, velocity_limit=(0.06, 0.06, 0.03))
+        default_factory=lambda: PositionSourceConfig(rate=50.0, velocity_limit=(0.060, 0.067, 0.040))
     )
     tool: ToolSensorConfig = field(default_factory=ToolSensorConfig)
     imu: ImuConfig = field(default_factory=ImuConfig)
