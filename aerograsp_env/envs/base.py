@@ -15,6 +15,7 @@ from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import CONTROL_STEP
 from aerograsp_env.sim.kernel import METRICS
 from aerograsp_env.sim.reset import check_options
+from aerograsp_env.sim.scene_look import CAMERAS
 from aerograsp_env.sim.worlds import Worlds
 
 Observation = dict[str, NDArray[np.float32]]
@@ -34,13 +35,14 @@ class DockBase(gymnasium.Env):
         height: int = 360,
         camera: str = "side",
         render_backend: str = "ray",
+        render_samples: int = 1,
         **options: Any,
     ) -> None:
         self.reward_mode = choose("reward_mode", reward_mode, REWARD_MODES)
         if render_mode is not None:
             choose("render_mode", render_mode, RENDER_MODES)
         self.render_mode = render_mode
-        self._render_settings = (width, height, choose("camera", camera, ("side", "front")), render_backend)
+        self._render_settings = (width, height, choose("camera", camera, CAMERAS), render_backend, render_samples)
         self.config = make_config(self.attach, options)
         self._worlds = Worlds(self.config, 1)
         self.observation_space = task.observation_space(self._worlds.layout)
@@ -113,7 +115,7 @@ class DockBase(gymnasium.Env):
         if self._scene_view is None:
             from aerograsp_env.sim.scene_view import SceneView
 
-            self._scene_view = SceneView(self.model, self.config, *self._render_settings)
+            self._scene_view = SceneView(self.config, *self._render_settings)
         return self._scene_view.draw(self.data, self.render_mode)
 
     def close(self) -> None:
