@@ -1,4 +1,4 @@
-"""What the tests of the docking simulation share: quiet sensors, records for the compiled functions, environments without noise."""
+"""What the tests of the docking simulation share: quiet sensors, records for compiled functions, bare environments."""
 
 from __future__ import annotations
 

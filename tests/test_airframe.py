@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 from dock_worlds import AT_NOMINAL, FREE, make, world
 
-from aerograsp_env.sim.airframe import AIR_DENSITY, AIRFRAMES, BELEROFONTE, FIREFLY, GRAVITY, AirframeConfig, mass_properties
+from aerograsp_env.sim.airframe import (
+    AIR_DENSITY,
+    AIRFRAMES,
+    BELEROFONTE,
+    FIREFLY,
+    GRAVITY,
+    AirframeConfig,
+    mass_properties,
+)
 from aerograsp_env.sim.config import DockConfig
 from aerograsp_env.sim.docking_tool import DockingToolConfig
 from aerograsp_env.sim.kernel_control import ground_effect, mix, rotors
@@ -23,7 +31,9 @@ def without_drag(airframe: AirframeConfig) -> AirframeConfig:
     return replace(airframe, drag_area=0.0, rotor=replace(airframe.rotor, drag=0.0))
 
 
-def fly_unpowered(config: DockConfig, seconds: float, wind=(0.0, 0.0, 0.0), gravity: bool = True, velocity=(0.0, 0.0, 0.0)):
+def fly_unpowered(
+    config: DockConfig, seconds: float, wind=(0.0, 0.0, 0.0), gravity: bool = True, velocity=(0.0, 0.0, 0.0)
+):
     """(model, data) after `seconds` with the rotors off in a steady wind; nothing but air and gravity acts."""
     model, data, p, s = world(config)
     if not gravity:
@@ -120,7 +130,9 @@ def test_allocation_is_what_mujocos_rotors_do(airframe):
         data.ctrl[:] = 0.0
         data.ctrl[k] = 2.0
         mujoco.mj_forward(model, data)
-        thrust, *torque = 2.0 * airframe.allocation(np.zeros(3))[:, k]  # a free joint's torque is about the body's origin
+        thrust, *torque = (
+            2.0 * airframe.allocation(np.zeros(3))[:, k]
+        )  # a free joint's torque is about the body's origin
         np.testing.assert_allclose(data.qfrc_actuator[:6], [0.0, 0.0, thrust, *torque], atol=1e-8)
 
 
@@ -144,7 +156,9 @@ def test_mix_gives_the_wrench_where_thrusts_suffice_and_the_torque_where_shiftin
         if wanted.min() >= 0.0 and wanted.max() <= p.thrust_max:
             kinds.add("exact")
             np.testing.assert_allclose(allocation @ thrusts, wrench, atol=1e-9)
-        elif np.ptp(wanted) <= p.thrust_max:  # the collective gives way, torques do not (allocation about the com: exact)
+        elif (
+            np.ptp(wanted) <= p.thrust_max
+        ):  # the collective gives way, torques do not (allocation about the com: exact)
             kinds.add("shifted")
             centred = BELEROFONTE.allocation(np.array([0.0, 0.0, BELEROFONTE.properties()[1][2]]))
             np.testing.assert_allclose((centred @ (thrusts - wanted))[1:], 0.0, atol=1e-9)
@@ -186,7 +200,7 @@ def test_rotor_lag_is_first_order():
 
 
 def cheeseman_bennett(height: float, radius: float) -> float:
-    """Thrust in ground effect over thrust out of it at equal power (Cheeseman & Bennett 1955), a rotor at `height` [m]."""
+    """Thrust in over out of ground effect (Cheeseman & Bennett 1955), a rotor at `height` [m]."""
     return 1.0 / (1.0 - radius**2 / (16.0 * height**2))
 
 
@@ -199,7 +213,9 @@ def test_ground_effect_gain():
     ctrl = np.zeros(6)
     thrusts = np.full(6, p.believed_thrust_constant * 500.0**2)
     rotors(p, s, np.eye(3), np.array([0.0, 0.0, 0.4]), np.zeros(3), thrusts, ctrl, np.zeros(6))
-    expected = p.thrust_constant * 500.0**2 * cheeseman_bennett(0.4 + BELEROFONTE.rotor_height, BELEROFONTE.rotor.radius)
+    expected = (
+        p.thrust_constant * 500.0**2 * cheeseman_bennett(0.4 + BELEROFONTE.rotor_height, BELEROFONTE.rotor.radius)
+    )
     np.testing.assert_allclose(ctrl, expected, rtol=1e-12)
 
 
