@@ -1,8 +1,8 @@
 """The MuJoCo model: floor, pipe, hexarotor and docking tool, written as MJCF text and compiled.
 
-The tool's chain is rooted in the airframe and ends in its base; an equality constraint (`coupling`) welds the base to the mocap
-body `dock`, the seat of the clamp on the pipe, and is switched on when the tool is coupled. The chain's body frames are
-the frames of equations 5.1–5.4 seen from the tip, so joint positions are the thesis's θ4 … θ0.
+The tool's chain is rooted in the airframe and ends in its base; an equality constraint (`coupling`) welds the base to
+the mocap body `dock`, the seat of the clamp on the pipe, and is switched on when the tool is coupled. The chain's body
+frames are the frames of equations 5.1–5.4 seen from the tip, so joint positions are the thesis's θ4 … θ0.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
 
 
 def _airframe_geoms(airframe: AirframeConfig) -> str:
-    """What of the airframe collides: hub, battery and computer, rotor discs, landing skids, and the arm that holds the tool."""
+    """What of the airframe collides: hub, battery and computer, rotor discs, skids, the arm that holds the tool."""
     length, tip = airframe.arm_length, airframe.tip_position
     lines = [
         f'<geom name="hub" type="cylinder" size="{numbers(0.30 * length, 0.04)}" material="shell" class="solid"/>',
@@ -62,12 +62,13 @@ def _link(
     content: str,
     stiffness: float = 0.0,
 ) -> str:
-    """One body of the chain seen from the tip. Turning θ moves the tip forwards, so the hinge's axis is reversed here."""
+    """One body of the chain seen from the tip. Turning θ moves the tip forwards, so the hinge's axis is reversed."""
     unit = np.eye(3)[axis]
     return (
         f'<body name="{name}" pos="{numbers(*pos)}">'
-        f'<joint name="{joint}" class="tool" axis="{numbers(*-unit)}" range="{numbers(*limits)}" stiffness="{stiffness:.6g}"/>'
-        f'<geom name="{joint}_hub" type="cylinder" size="0.022 0.017" zaxis="{numbers(*unit)}" rgba="0.2 0.7 0.3 1" class="look"/>'
+        f'<joint name="{joint}" class="tool" axis="{numbers(*-unit)}" range="{numbers(*limits)}" '
+        f'stiffness="{stiffness:.6g}"/>'
+        f'<geom name="{joint}_hub" type="cylinder" size="0.022 0.017" zaxis="{numbers(*unit)}" class="look"/>'
         f"{content}</body>"
     )
 
@@ -111,9 +112,12 @@ def scene_xml(airframe: AirframeConfig, tool: DockingToolConfig, look: bool = Fa
     return f"""
 <mujoco model="aerograsp dock">
   <compiler angle="radian" autolimits="true" discardvisual="{"false" if look else "true"}"/>
-  <option timestep="{TIMESTEP}" gravity="0 0 {-GRAVITY}" integrator="implicitfast" cone="elliptic"><flag autoreset="disable"/></option>
+  <option timestep="{TIMESTEP}" gravity="0 0 {-GRAVITY}" integrator="implicitfast" cone="elliptic">
+    <flag autoreset="disable"/>
+  </option>
   <size memory="1M"/>
-  <visual><headlight ambient="0.35 0.35 0.35" diffuse="0.3 0.3 0.3"/><global offwidth="1280" offheight="960"/></visual>
+  <visual><headlight ambient="0.35 0.35 0.35" diffuse="0.3 0.3 0.3"/>
+    <global offwidth="1280" offheight="960"/></visual>
   <asset>{ASSETS}
   </asset>
   <default>
@@ -128,11 +132,16 @@ def scene_xml(airframe: AirframeConfig, tool: DockingToolConfig, look: bool = Fa
     {LIGHT}
     {camera_look()}
     <geom name="floor" type="plane" size="0 0 0.1" material="floor" class="scene"/>
-    <geom name="pipe" type="capsule" fromto="0 -2.2 {PIPE_HEIGHT} 0 2.2 {PIPE_HEIGHT}" size="{PIPE_RADIUS}" material="pipe" class="scene"/>
-    <geom name="column_left" type="cylinder" fromto="0 2.2 0 0 2.2 {PIPE_HEIGHT}" size="0.06" material="column" class="scene"/>
-    <geom name="column_right" type="cylinder" fromto="0 -2.2 0 0 -2.2 {PIPE_HEIGHT}" size="0.06" material="column" class="scene"/>
+    <geom name="pipe" type="capsule" fromto="0 -2.2 {PIPE_HEIGHT} 0 2.2 {PIPE_HEIGHT}" size="{PIPE_RADIUS}"
+          material="pipe" class="scene"/>
+    <geom name="column_left" type="cylinder" fromto="0 2.2 0 0 2.2 {PIPE_HEIGHT}" size="0.06"
+          material="column" class="scene"/>
+    <geom name="column_right" type="cylinder" fromto="0 -2.2 0 0 -2.2 {PIPE_HEIGHT}" size="0.06"
+          material="column" class="scene"/>
     {pipe_look(PIPE_HEIGHT, PIPE_RADIUS, 2.2)}
-    <body name="dock" mocap="true" pos="{numbers(*DOCK_POSITION)}" quat="{numbers(*dock_quat)}"><site name="dock"/></body>
+    <body name="dock" mocap="true" pos="{numbers(*DOCK_POSITION)}" quat="{numbers(*dock_quat)}">
+      <site name="dock"/>
+    </body>
     <body name="airframe" pos="-0.56 -0.2 {PIPE_HEIGHT + 0.4:.4g}">
       <freejoint name="airframe"/>
       <inertial pos="{numbers(*com)}" mass="{mass:.9g}" fullinertia="{numbers(*full)}"/>
@@ -140,18 +149,21 @@ def scene_xml(airframe: AirframeConfig, tool: DockingToolConfig, look: bool = Fa
       {_airframe_geoms(airframe)}
       {airframe_look(airframe)}
       <body name="tool_tip" pos="{numbers(*airframe.tip_position)}" quat="{numbers(*quaternion(R_TIP_BODY.T))}">
-        <joint name="flex" type="hinge" axis="0 0 1" stiffness="{tool.flex_stiffness:.6g}" damping="{tool.flex_damping:.6g}"/>
+        <joint name="flex" type="hinge" axis="0 0 1" stiffness="{tool.flex_stiffness:.6g}"
+               damping="{tool.flex_damping:.6g}"/>
         {_tool(tool)}
       </body>
     </body>
   </worldbody>
-  <equality><weld name="coupling" body1="tool_base" body2="dock" relpose="0 0 0 1 0 0 0" solref="0.01 1" solimp="0.9999 0.9999 0.001"
-    active="false"/></equality>
+  <equality>
+    <weld name="coupling" body1="tool_base" body2="dock" relpose="0 0 0 1 0 0 0" active="false"
+          solref="0.01 1" solimp="0.9999 0.9999 0.001"/>
+  </equality>
   <actuator>{actuators}</actuator>
   <sensor><force name="clamp_force" site="base"/></sensor>
 </mujoco>"""
 
 
 def build_model(airframe: AirframeConfig, tool: DockingToolConfig, look: bool = False) -> mujoco.MjModel:
-    """Compile the scene; geoms that are only looked at are left out unless `look`: a step is a tenth faster without them."""
+    """Compile the scene; geoms that are only looked at are left out unless `look`: steps are a tenth faster without."""
     return mujoco.MjModel.from_xml_string(scene_xml(airframe, tool, look))

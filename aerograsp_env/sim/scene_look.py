@@ -10,7 +10,8 @@ import numpy as np
 from aerograsp_env.sim.airframe import AirframeConfig
 
 ASSETS = """
-    <texture name="floor" type="2d" builtin="checker" rgb1="0.60 0.62 0.64" rgb2="0.52 0.54 0.56" width="256" height="256"/>
+    <texture name="floor" type="2d" builtin="checker" rgb1="0.60 0.62 0.64" rgb2="0.52 0.54 0.56"
+             width="256" height="256"/>
     <material name="floor" texture="floor" texrepeat="1 1" texuniform="true"/>
     <material name="pipe" rgba="0.80 0.43 0.16 1" specular="0.6" shininess="0.6"/>
     <material name="column" rgba="0.36 0.39 0.43 1"/>
@@ -30,7 +31,8 @@ _CAMERAS = {
 CAMERAS = tuple(_CAMERAS)
 
 LIGHT = """
-    <light name="sun" directional="true" pos="3 -4 9" dir="-0.42 -0.30 -0.85" diffuse="0.75 0.75 0.72" castshadow="true"/>"""
+    <light name="sun" directional="true" pos="3 -4 9" dir="-0.42 -0.30 -0.85" diffuse="0.75 0.75 0.72"
+           castshadow="true"/>"""
 
 
 def numbers(*values: float) -> str:
@@ -79,7 +81,7 @@ def camera_look() -> str:
 
 
 def airframe_look(airframe: AirframeConfig) -> str:
-    """Canopy, booms, motors, propellers, legs; and the arms, where the airframe has them (the tool held to one side)."""
+    """Canopy, booms, motors, propellers, legs; and the arms, where the airframe has them (tool held aside)."""
     length = airframe.arm_length
     scale = length / 0.42
     lines = [
