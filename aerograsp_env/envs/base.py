@@ -10,7 +10,14 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from aerograsp_env.envs import dock_task as task
-from aerograsp_env.envs.options import RENDER_MODES, REWARD_MODES, check_action, choose, dock_config
+from aerograsp_env.envs.options import (
+    REWARD_MODES,
+    available_render_modes,
+    check_action,
+    check_render_mode,
+    choose,
+    dock_config,
+)
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import CONTROL_STEP
 from aerograsp_env.sim.kernel import METRICS
@@ -24,7 +31,7 @@ Observation = dict[str, NDArray[np.float32]]
 class DockBase(gymnasium.Env):
     """One world of the docking scene; the tasks differ in where an episode begins and what its action may do."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": round(1.0 / CONTROL_STEP)}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": available_render_modes(), "render_fps": round(1.0 / CONTROL_STEP)}
     attach = False
 
     def __init__(
@@ -39,9 +46,7 @@ class DockBase(gymnasium.Env):
         **options: Any,
     ) -> None:
         self.reward_mode = choose("reward_mode", reward_mode, REWARD_MODES)
-        if render_mode is not None:
-            choose("render_mode", render_mode, RENDER_MODES)
-        self.render_mode = render_mode
+        self.render_mode = check_render_mode(render_mode)
         self._render_settings = (width, height, choose("camera", camera, CAMERAS), render_backend, render_samples)
         self.config = make_config(self.attach, options)
         self._worlds = Worlds(self.config, 1)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import os
+import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -19,6 +21,19 @@ from aerograsp_env.sim.wind import WIND_LEVELS, WindConfig
 
 REWARD_MODES = ("dense", "sparse")
 RENDER_MODES = ("rgb_array", "depth_array", "human")
+
+
+def available_render_modes() -> list[str]:
+    """`RENDER_MODES`, "human" only where a display is: without one MuJoCo's viewer ends the whole process."""
+    display = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    return [mode for mode in RENDER_MODES if mode != "human" or display]
+
+
+def check_render_mode(mode: str | None) -> str | None:
+    """`mode` if it is one that works here, else a ValueError."""
+    if mode is not None and choose("render_mode", mode, RENDER_MODES) not in available_render_modes():
+        raise ValueError("render_mode 'human' needs a display (DISPLAY or WAYLAND_DISPLAY is not set); use 'rgb_array'")
+    return mode
 
 
 def choose(name: str, value: Any, valid: Iterable[str]) -> str:
