@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any, ClassVar
 
 import gymnasium
@@ -52,9 +53,15 @@ class DockBase(gymnasium.Env):
         self._worlds = Worlds(self.config, 1)
         self.observation_space = task.observation_space(self._worlds.layout)
         self.action_space = spaces.Box(-1.0, 1.0, (self._worlds.action_size,), np.float32)
+        self._action_shape = (self._worlds.action_size,)
         self.action_layout = task.action_layout(self.config)
-        self._slices = tuple(task.slices(self._worlds.layout).items())
+        slices = task.slices(self._worlds.layout)
+        self._names, self._cut = tuple(slices), itemgetter(*slices.values())
         self._terms = task.term_columns(self.attach, self.reward_mode)
+        # this world's rows of the simulator's results, looked up once
+        worlds = self._worlds
+        self._row, self._terms_row, self._metrics_row = worlds.observations[0], worlds.terms[0], worlds.metrics[0]
+        self._flags, self._termination = worlds.flags[0], worlds.states["termination"]
         self._scene_view: Any = None
         self._begun = False
 
@@ -94,22 +101,20 @@ class DockBase(gymnasium.Env):
         """Advance by `dt`. The episode never truncates here: Gymnasium's TimeLimit does that."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        self._worlds.step(check_action(action, self.action_space.shape), [self.np_random])
+        self._worlds.step(check_action(action, self._action_shape), [self.np_random])
         info = self._info()
-        return self._observation(), sum(info["reward_terms"].values()), bool(self._worlds.flags[0, 1]), False, info
+        return self._observation(), sum(info["reward_terms"].values()), info["termination"] != "", False, info
 
     def _observation(self) -> Observation:
-        row = self._worlds.observations[0].copy()
-        return {name: row[part] for name, part in self._slices}
+        return dict(zip(self._names, self._cut(self._row.copy()), strict=True))
 
     def _info(self) -> dict[str, Any]:
-        worlds = self._worlds
-        terms = worlds.terms[0].tolist()
+        terms = self._terms_row.tolist()
         return {
-            "success": bool(worlds.flags[0, 0]),
+            "success": self._flags.item(0),
             "reward_terms": {name: terms[column] for name, column in self._terms},
-            "metrics": dict(zip(METRICS, worlds.metrics[0].tolist(), strict=True)),
-            "termination": lay.TERMINATIONS[worlds.states["termination"][0]],
+            "metrics": dict(zip(METRICS, self._metrics_row.tolist(), strict=True)),
+            "termination": lay.TERMINATIONS[self._termination.item()],
         }
 
     def render(self) -> NDArray[Any] | None:

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import carray, njit
+from numba import carray
 
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.kernel_control import autopilot, rotors
-from aerograsp_env.sim.kernel_math import as_pointer, call_with_two_pointers, clip
+from aerograsp_env.sim.kernel_math import as_pointer, call_with_two_pointers, clip, compiled
 from aerograsp_env.sim.kernel_sensors import advance_slow, read_base, read_imu, read_position, sample_joints
 from aerograsp_env.sim.scene import TIMESTEP
 
@@ -28,7 +28,7 @@ SUCCESS_ERROR = 0.05  # [m] per axis
 _GAUSSIAN = -math.log(0.1)  # tolerance(): value 0.1 at the margin
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _delayed_command(p, s, tick):
     """Which remembered action reaches the autopilot at this tick: −1 where none was given yet."""
     age = tick - p.delay_ticks  # of the newest action this tick may use, relative to this control step's start
@@ -36,7 +36,7 @@ def _delayed_command(p, s, tick):
     return back if back <= s.step else -1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _estimated_attitude(s, xmat, r):
     """r = (I + [δ]×) R: the true attitude turned by the small error δ (world frame)."""
     d = s.attitude_error
@@ -47,7 +47,7 @@ def _estimated_attitude(s, xmat, r):
         r[2, j] = c - d[1] * a + d[0] * b
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _stops(p, s, qpos, qvel, qfrc):
     """Torques of the printed stops at the mechanical limits, and of the servo that locks θ0 in flight.
 
@@ -73,7 +73,7 @@ def _stops(p, s, qpos, qvel, qfrc):
         qfrc[a - 1] += clip(hold, -p.lock_torque, p.lock_torque)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _physics(step_function, pointers, p, s, noise):
     """The ticks of one control step."""
     model, data = pointers[lay.P_MODEL], pointers[lay.P_DATA]
@@ -128,7 +128,7 @@ def _physics(step_function, pointers, p, s, noise):
     return xmat
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _bookkeeping(p, s, qpos):
     """True error about the set-point, its sums, and leaving the arena."""
     distance = 0.0
@@ -151,7 +151,7 @@ def _bookkeeping(p, s, qpos):
     return math.sqrt(distance)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rewards(p, s, distance, seat_distance, terms):
     """Bounded terms, see the reward table in envs/dock.py."""
     at_work = 1.0 if p.attach == 0 or s.coupled == 1 else 0.0
@@ -167,7 +167,7 @@ def _rewards(p, s, distance, seat_distance, terms):
     terms[_EFFORT] = -0.05 * min(change, 4.0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def summarize(p, s, terms, metrics, flags):
     """What depends on how the step ended: crash and sparse terms, the episode's figures so far, (success, terminated)."""
     crashed = s.termination != lay.RUNNING
@@ -198,7 +198,7 @@ def summarize(p, s, terms, metrics, flags):
     flags[1] = crashed
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def observe(p, s, r, specific_force, seat_offset, out):
     """Writes the flat observation row in the order of layout.DOCK_OBSERVATION (or ATTACH_OBSERVATION), clipped to its bounds."""
     ch, sh = 1.0, 0.0
@@ -234,7 +234,7 @@ def observe(p, s, r, specific_force, seat_offset, out):
         out[k + 3] = float(s.coupled)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _attach(p, s, xpos, xmat, qvel, seat_offset):
     """Vector base → seat as truth and as the vehicle estimates it; asks for coupling when the base lies in the seat."""
     distance = 0.0
@@ -254,7 +254,7 @@ def _attach(p, s, xpos, xmat, qvel, seat_offset):
     return distance
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _read(pointers, p, s, noise, bounds, out, specific_force, seat_offset, r, xmat):
     """Sensor readings at the end of a control step and the observation row."""
     qpos = carray(as_pointer(pointers[lay.P_QPOS]), (13,), np.float64)
@@ -268,28 +268,32 @@ def _read(pointers, p, s, noise, bounds, out, specific_force, seat_offset, r, xm
         out[k] = clip(out[k], -bounds[k], bounds[k])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def step_worlds(
     step_function, pointers, parameters, states, noise, cursors, active, actions, bounds, observations, terms, metrics, flags,
     first, last,
 ):  # fmt: skip
     """Advance those of the worlds first … last−1 that are `active` (N,) by one control step.
 
-    actions (N, A) float64 in [−1, 1]; noise (N, block, NOISE) with `cursors` (N,) saying which row is next; writes observations
-    (N, D) float32, reward terms (N, len(TERMS)), metrics (N, len(METRICS)) and flags (N, 2) = (success, terminated).
+    actions (N, A) float64, clipped to [−1, 1] here; noise (N, block, NOISE) with `cursors` (N,) saying which row is next; writes observations
+    (N, D) float32, reward terms (N, len(TERMS)), metrics (N, len(METRICS)) and flags (N, 2) = (success, terminated). Returns how
+    many of the worlds have used up their noise.
     """
+    used_up = 0
     specific_force, seat_offset, r = np.zeros(3), np.zeros(3), np.empty((3, 3))
     for n in range(first, last):
         if not active[n]:
+            used_up += cursors[n] == noise.shape[1]
             continue
         p, s = parameters[n], states[n]
         row = noise[n, cursors[n]]
         cursors[n] += 1
+        used_up += cursors[n] == noise.shape[1]
         for a in range(lay.HISTORY - 1, 0, -1):
             for i in range(5):
                 s.actions[a, i] = s.actions[a - 1, i]
         for i in range(actions.shape[1]):
-            s.actions[0, i] = actions[n, i]
+            s.actions[0, i] = clip(actions[n, i], -1.0, 1.0)
         advance_slow(p, s, row)
         xmat = _physics(step_function, pointers[n], p, s, row)
         qpos = carray(as_pointer(pointers[n, lay.P_QPOS]), (13,), np.float64)
@@ -307,9 +311,10 @@ def step_worlds(
         _read(pointers[n], p, s, row, bounds, observations[n], specific_force, seat_offset, r, xmat)
         _rewards(p, s, distance, seat, terms[n])
         summarize(p, s, terms[n], metrics[n], flags[n])
+    return used_up
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_worlds(pointers, parameters, states, noise, cursors, bounds, observations, first, last):
     """First observation of worlds first … last−1 after a reset: readings at rest, nothing advances but the noise."""
     specific_force, seat_offset, r = np.zeros(3), np.zeros(3), np.empty((3, 3))

@@ -11,6 +11,10 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 
+# C's rules for division by zero (infinities, no exception): the checks cost more than the divisions
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+
+
 @intrinsic
 def call_with_two_pointers(typingctx, function, first, second):
     """Call the C function at address `function` with two pointers, e.g. mj_step(m, d). The address is an argument, not a
@@ -38,18 +42,18 @@ def as_pointer(typingctx, address):
     return types.voidptr(types.intp), codegen
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled
 def clip(x, low, high):
     return min(max(x, low), high)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def bounded(x):
     """2Φ(x) − 1: a standard normal to a uniform value in (−1, 1)."""
     return math.erf(x * 0.7071067811865476)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tool_forward(lengths, q, position, rotation):
     """Pose of the tip in the base frame (thesis equations 5.1–5.4): writes position (3,) and rotation (3, 3)."""
     a1 = q[1]
@@ -70,7 +74,7 @@ def tool_forward(lengths, q, position, rotation):
     rotation[0, 2], rotation[1, 2], rotation[2, 2] = c0 * s4 - s0 * zy, s0 * s4 + c0 * zy, zz
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def upright(up, rotation):
     """Smallest rotation that takes the unit vector along `up` to z: writes (3, 3). Identity if `up` is not usable."""
     n = math.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from aerograsp_env.sim.airframe import GRAVITY
-from aerograsp_env.sim.kernel_math import bounded, clip, tool_forward, upright
+from aerograsp_env.sim.kernel_math import bounded, clip, compiled, tool_forward, upright
 from aerograsp_env.sim.layout import DOCK, POTENTIOMETER_SAMPLES, SUBSTEPS
 from aerograsp_env.sim.scene import TIMESTEP
 
@@ -16,7 +15,7 @@ from aerograsp_env.sim.scene import TIMESTEP
 _GUST, _WANDER, _FAST, _ATTITUDE, _ACCELERATION, _BASE, _SOURCE, _WHITE, _JUMP = 0, 5, 8, 11, 14, 17, 20, 23, 26
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def blow(p, s):
     """World-frame wind of the present gust state."""
     gust = np.zeros(3)
@@ -29,7 +28,7 @@ def blow(p, s):
             s.wind[i] += p.wind_axes[i, j] * gust[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def slow_errors(p, s):
     """Present errors of the velocity, attitude and position estimates, from their processes' states."""
     for i in range(3):
@@ -37,7 +36,7 @@ def slow_errors(p, s):
         s.attitude_error[i] = p.attitude_limit * bounded(s.attitude_wander[i])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def advance_slow(p, s, noise):
     """One control step of wind, wandering errors and tracking slips; each is an exact discretisation."""
     gust = np.zeros(5)
@@ -64,7 +63,7 @@ def advance_slow(p, s, noise):
         s.source_jump[:] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def sample_joints(p, s, qpos, qvel, tick, noise, count):
     """Potentiometer samples that fall into the physics tick just done; returns how many were taken so far in this step."""
     end = (tick + 1) * TIMESTEP
@@ -80,7 +79,7 @@ def sample_joints(p, s, qpos, qvel, tick, noise, count):
     return count
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def tool_position(p, s, r):
     """Airframe origin (3,) in the world from the joint readings, the base's tilt and the estimated attitude r (3, 3).
 
@@ -115,7 +114,7 @@ def tool_position(p, s, r):
     return result
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_base(p, s, base_rotation, noise):
     """Base accelerometer (at rest when coupled: gravity's reaction) and its low-pass, the base's idea of up."""
     for i in range(3):
@@ -125,7 +124,7 @@ def read_base(p, s, base_rotation, noise):
         s.base_up[i] += (1.0 - p.tilt_blend) * (s.base_acceleration[i] - s.base_up[i])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_position(p, s, r, position, noise):
     """Position estimate of the chosen source: held between samples, from the tool only once it is coupled."""
     if s.step % p.source_period == 0:
@@ -143,7 +142,7 @@ def read_position(p, s, r, position, noise):
         s.estimate[:] = s.source_estimate
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def read_imu(p, s, r, acceleration, noise, out):
     """Accelerometer: specific force (3,) in the body frame."""
     for i in range(3):

@@ -57,8 +57,12 @@ class Worlds:
         self._noise = np.zeros((n, lay.NOISE_BLOCK, lay.NOISE))
         self._cursors = np.zeros(n, np.int64)
         self._actions = np.zeros((n, self.action_size))
-        self._step_function = mj_step_address()
         self._pointers = np.array([self._addresses(m, d) for m, d in zip(self.models, self.datas, strict=True)], np.int64)
+        self._arguments = (
+            mj_step_address(), self._pointers, self.parameters, self.states, self._noise, self._cursors,
+            self.active, self._actions, self.bounds, self.observations, self.terms, self.metrics, self.flags,
+        )  # fmt: skip
+        self._used_up = 0  # worlds that need a fresh block of noise before their next step
         threads = min(threads or os.cpu_count() or 1, max(n // (_THREADED_FROM // 2), 1))
         self._pool = ThreadPoolExecutor(threads, "aerograsp") if threads > 1 and n >= _THREADED_FROM else None
         edges = np.linspace(0, n, threads + 1).astype(int)
@@ -87,17 +91,14 @@ class Worlds:
 
     def step(self, actions: NDArray[np.float64], rngs: list[np.random.Generator]) -> None:
         """One control step of every active world. actions (n, A) in [−1, 1], already checked."""
-        for i in np.flatnonzero(self.active & (self._cursors >= lay.NOISE_BLOCK)):
-            self.draw_noise(i, rngs[i])
+        if self._used_up:
+            for i in np.flatnonzero(self.active & (self._cursors >= lay.NOISE_BLOCK)):
+                self.draw_noise(i, rngs[i])
         self._actions[:] = actions
-        fixed = (
-            self._step_function, self._pointers, self.parameters, self.states, self._noise, self._cursors,
-            self.active, self._actions, self.bounds, self.observations, self.terms, self.metrics, self.flags,
-        )  # fmt: skip
         if self._pool is None:
-            kernel.step_worlds(*fixed, 0, self.n)
+            self._used_up = kernel.step_worlds(*self._arguments, 0, self.n)
         else:
-            list(self._pool.map(lambda s: kernel.step_worlds(*fixed, *s), self._slices))
+            self._used_up = sum(self._pool.map(lambda s: kernel.step_worlds(*self._arguments, *s), self._slices))
         for i, data in enumerate(self.datas):  # contacts are rare: the count is read outside the compiled loop
             if data.ncon and self.active[i] and not self.flags[i, 1]:
                 self.states["termination"][i] = lay.COLLISION
