@@ -1,0 +1,553 @@
+"""What every id promises, for every option: checkers, determinism, resets, rewards, documented tables, refusals."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import re
+import warnings
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from dock_worlds import AT_NOMINAL, ATTACH, DOCK, make
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
+
+import aerograsp_env
+from aerograsp_env.envs.dock import DockAttachEnv, DockEnv
+from aerograsp_env.envs.options import available_render_modes
+from aerograsp_env.registration import ENTRY_POINTS
+from aerograsp_env.rewards import tolerance
+from aerograsp_env.sim.config import DockConfig, RandomizeConfig
+from aerograsp_env.sim.scene import JOINT_NAMES, PIPE_HEIGHT
+from aerograsp_env.sim.sensors import SensorConfig
+from aerograsp_env.sim.wind import WindConfig
+
+IDS = tuple(ENTRY_POINTS)
+CLASSES = {DOCK: DockEnv, ATTACH: DockAttachEnv}
+SMALL: dict[str, Any] = {"width": 48, "height": 40}
+
+# Every value of every named option, and one instance of each configuration.
+OPTIONS: list[dict[str, Any]] = [
+    {},
+    *({"wind": wind} for wind in ("calm", "light", "gusty", WindConfig(4.0, 0.3, 1.0), {"mean_speed": 1.0})),
+    *({"localization": source} for source in ("dock", "gps", "vision", "truth")),
+    *({"localization": source, "docked": False} for source in ("gps", "vision", "truth")),
+    *({"randomize": value} for value in (False, True, RandomizeConfig(mass=(1.1, 1.2)), {"drag": (1.0, 2.0)})),
+    *({"airframe": name} for name in ("belerofonte", "firefly")),
+    *({"command_frame": frame} for frame in ("world", "heading")),
+    *({"command_delay": delay} for delay in (0.0, 0.1, (0.06, 0.10))),
+    *({"payload": mass} for mass in (0.0, 0.5)),
+    *({"velocity_limit": limit} for limit in (0.3, (2.0, 2.0, 1.0))),
+    *({"reward_mode": mode} for mode in ("dense", "sparse")),
+    *({"render_mode": mode} for mode in (None, *available_render_modes())),
+    *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front")),
+    {"sensors": SensorConfig().scaled(0.5)},
+    {"autopilot": {"mpc_xy_vel_p_acc": 2.5}},
+    {"tool": {"flex_stiffness": 20.0}},
+    {"config": DockConfig(set_point_spread=0.0, skip=1.0)},
+]
+
+
+def named(options: dict[str, Any]) -> str:
+    return ",".join(
+        f"{name}={value if np.isscalar(value) else type(value).__name__}" for name, value in options.items()
+    )
+
+
+every_option = pytest.mark.parametrize("options", OPTIONS, ids=lambda options: named(options) or "default")
+every_id = pytest.mark.parametrize("env_id", IDS)
+
+
+def equal(first: Any, second: Any) -> bool:
+    """Exact equality of nested dicts of arrays and numbers."""
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(equal(first[k], second[k]) for k in first)
+    return np.array_equal(first, second, equal_nan=False) and np.asarray(first).dtype == np.asarray(second).dtype
+
+
+# checkers -----------------------------------------------------------------------------------------
+
+
+@every_id
+@every_option
+def test_gymnasiums_and_stable_baselines3s_checkers_find_nothing(env_id, options):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(env_id, **SMALL, **options)
+        check_env(env.unwrapped)
+        sb3_check_env(env, warn=True)
+        env.close()
+
+
+def test_every_registered_id_is_covered():
+    registered = {name for name in gymnasium.registry if name.startswith("aerograsp/")}
+    assert registered == set(IDS) == set(CLASSES)
+
+
+def test_the_options_above_name_every_option_there_is():
+    from aerograsp_env.envs.base import DockBase
+    from aerograsp_env.envs.options import dock_config
+
+    known = {*inspect.signature(DockBase.__init__).parameters, *inspect.signature(dock_config).parameters}
+    looks = {"width", "height", "render_backend", "render_samples"}  # only how pictures are drawn
+    assert known - {"self", "options", "attach"} - looks == {name for options in OPTIONS for name in options}
+
+
+# determinism and reset ----------------------------------------------------------------------------
+
+
+def rollout(env: gymnasium.Env, seed: int, steps: int = 130) -> list[Any]:
+    rng = np.random.default_rng(0)
+    trace: list[Any] = [env.reset(seed=seed)]
+    for _ in range(steps):  # more than two blocks of the noise that is drawn ahead
+        trace.append(env.step(rng.uniform(-0.3, 0.3, env.action_space.shape).astype(np.float32)))
+        if trace[-1][2]:
+            trace.append(env.reset())
+    return trace
+
+
+def truth(env) -> tuple[np.ndarray, ...]:
+    """Everything that the future depends on: simulator state, its parameters, both records, the generator."""
+    model, data = env.model, env.data
+    for flag in (mujoco.mjtState.mjSTATE_FULLPHYSICS, mujoco.mjtState.mjSTATE_INTEGRATION):
+        assert mujoco.mj_stateSize(model, flag) > 0
+    state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION))
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    full = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(model, data, full, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    worlds = env._worlds
+    return (
+        state, full, data.ctrl.copy(), data.xfrc_applied.copy(), data.qacc_warmstart.copy(), data.sensordata.copy(),
+        model.body_mass.copy(), model.body_inertia.copy(), model.body_subtreemass.copy(), model.dof_damping.copy(),
+        model.jnt_stiffness.copy(), model.dof_invweight0.copy(),
+        np.frombuffer(worlds.parameters.tobytes(), np.uint8), np.frombuffer(worlds.states.tobytes(), np.uint8),
+        worlds._noise.copy(), worlds._cursors.copy(), worlds.terms.copy(), worlds.metrics.copy(), worlds.flags.copy(),
+        np.frombuffer(json.dumps(env.np_random.bit_generator.state).encode(), np.uint8),
+    )  # fmt: skip
+
+
+VARIANTS = [
+    {},
+    {"randomize": True, "command_delay": (0.02, 0.10)},
+    {"wind": "gusty", "localization": "gps", "docked": False},
+]
+
+
+@every_id
+@pytest.mark.parametrize("options", VARIANTS, ids=named)
+def test_a_seed_determines_everything(env_id, options):
+    first, second = make(env_id, **options), make(env_id, **options)
+    a, b = rollout(first, 7), rollout(second, 7)
+    for x, y in zip(a, b, strict=True):
+        assert all(equal(p, q) for p, q in zip(x, y, strict=True))
+    assert all(np.array_equal(p, q) for p, q in zip(truth(first), truth(second), strict=True))
+    other = rollout(make(env_id, **options), 8)
+    assert not equal(a[0][0], other[0][0])
+
+
+@every_id
+@pytest.mark.parametrize("options", VARIANTS, ids=named)
+def test_reset_restores_the_whole_simulator(env_id, options):
+    fresh, used = make(env_id, **options), make(env_id, **options)
+    fresh.reset(seed=3)
+    used.reset(seed=99)
+    for _ in range(60):
+        used.step(used.action_space.sample())
+    data, model = used.data, used.model  # and dirty by hand what a task might touch
+    for array in (
+        data.qpos,
+        data.qvel,
+        data.ctrl,
+        data.xfrc_applied,
+        data.qfrc_applied,
+        data.qacc_warmstart,
+        data.mocap_pos,
+    ):
+        array += 0.1
+    data.eq_active[:] = 1 - data.eq_active
+    data.time = 12.0
+    used._worlds.states["rotor_speed"] += 100.0
+    if options.get("randomize"):  # what a draw changes
+        model.body("airframe").mass *= 1.5
+        model.body("airframe").inertia *= 0.5
+        model.joint("flex").stiffness *= 2.0
+        for name in JOINT_NAMES:
+            model.joint(name).damping *= 3.0
+    used.reset(seed=3)
+    for x, y in zip(truth(fresh), truth(used), strict=True):
+        assert np.array_equal(x, y)
+    action = np.full(used.action_space.shape, 0.1, np.float32)
+    for _ in range(30):
+        assert all(equal(p, q) for p, q in zip(fresh.step(action), used.step(action), strict=True))
+
+
+def test_randomisation_draws_a_new_vehicle_each_episode_from_the_nominal_one():
+    env = make(randomize={"mass": (0.8, 1.2)})
+    nominal = float(make().model.body("airframe").mass[0])
+    masses = []
+    for seed in range(200):
+        env.reset(seed=seed)
+        masses.append(float(env.model.body("airframe").mass[0]) / nominal)
+    assert 0.8 <= min(masses) < 0.82 and 1.18 < max(masses) <= 1.2  # a product over episodes would leave the range
+    assert np.mean(masses) == pytest.approx(1.0, abs=0.03)
+
+
+def test_two_environments_do_not_share_a_model_they_change():
+    one, two = make(randomize=True), make(randomize=True)
+    one.reset(seed=0)
+    before = one.model.body_mass.copy()
+    two.reset(seed=1)
+    assert np.array_equal(one.model.body_mass, before)
+
+
+# explicit start and goal --------------------------------------------------------------------------
+
+
+@every_id
+def test_explicit_start_and_goal_are_honoured_exactly(env_id):
+    env = make(env_id, wind="gusty", randomize=True)
+    start, goal = (
+        np.array([-0.30, 0.02, 0.40]) if env_id == ATTACH else np.array([0.02, -0.03, 0.01]),
+        [0.01, 0.015, -0.01],
+    )
+    observation, _ = env.reset(seed=1, options={"start": start, "set_point": goal, "wind_direction": 1.0})
+    nominal = env._worlds.parameters["nominal"][0]
+    np.testing.assert_array_equal(env.data.qpos[:3], nominal + start)
+    np.testing.assert_array_equal(env._worlds.parameters["set_point"][0], nominal + goal)
+    np.testing.assert_array_equal(observation["set_point"], np.float32(goal))
+    mean = env._worlds.parameters["mean_wind"][0]
+    assert np.arctan2(mean[1], mean[0]) == pytest.approx(1.0)
+
+
+# info, properties ---------------------------------------------------------------------------------
+
+
+@every_id
+def test_the_documented_attributes_exist(env_id):
+    env = gymnasium.make(env_id)
+    assert isinstance(env.unwrapped.model, mujoco.MjModel)
+    assert isinstance(env.unwrapped.data, mujoco.MjData)
+    assert env.unwrapped.dt == pytest.approx(0.02)
+    assert env.unwrapped.dt == pytest.approx(10 * env.unwrapped.model.opt.timestep)
+    assert env.spec.max_episode_steps * env.unwrapped.dt == pytest.approx(60.0)
+    _, info = env.reset(seed=0)
+    assert info["success"] is False
+    time = env.unwrapped.data.time
+    _, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    assert env.unwrapped.data.time - time == pytest.approx(0.02)
+    assert (type(reward), type(terminated), type(truncated), type(info["success"])) == (float, bool, bool, bool)
+    assert all(type(value) is float for value in info["reward_terms"].values())
+    assert all(type(value) is float for value in info["metrics"].values())
+    assert info["termination"] == ""
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_every_id_has_a_reference_policy_that_speaks_its_spaces(env_id):
+    env, policy = gymnasium.make(env_id), aerograsp_env.reference_policy(env_id)
+    observation, _ = env.reset(seed=0)
+    action, _ = policy.predict(observation)
+    assert env.action_space.contains(action)
+
+
+# rewards ------------------------------------------------------------------------------------------
+
+
+def expected_terms(env, action_change: float, terminated: bool) -> dict[str, float]:
+    """The docstring's reward table, from the true state, by the package's one reward primitive."""
+    error = float(np.linalg.norm(env._worlds.parameters["set_point"][0] - env.data.qpos[:3]))
+    attach = isinstance(env, DockAttachEnv)
+    coupled = bool(env.state["coupled"])
+    work = 1.0 if coupled or not attach else 0.0
+    terms = {
+        "position": work * 0.5 * tolerance(error, margin=0.10, sigmoid="gaussian"),
+        "precision": work * 0.5 * tolerance(error, margin=0.03, sigmoid="long_tail"),
+        "effort": -0.05 * min(action_change, 4.0),
+        "crash": -10.0 * terminated,
+    }
+    if attach:
+        mujoco.mj_kinematics(env.model, env.data)
+        gap = float(np.linalg.norm(env.data.site("base").xpos - env._worlds.parameters["seat_position"][0]))
+        terms["approach"] = 0.3 if coupled else 0.3 * tolerance(gap, margin=1.0, sigmoid="long_tail")
+    return terms
+
+
+@every_id
+def test_the_dense_reward_is_the_sum_of_its_documented_terms(env_id):
+    env = make(env_id, wind="gusty")
+    rng, previous = np.random.default_rng(0), np.zeros(env.action_space.shape)
+    env.reset(seed=0)
+    for _ in range(200):
+        action = rng.uniform(-0.5, 0.5, env.action_space.shape).astype(np.float32)
+        _, reward, terminated, _, info = env.step(action)
+        assert reward == sum(info["reward_terms"].values())
+        expected = expected_terms(env, float(np.sum((action.astype(float) - previous) ** 2)), terminated)
+        assert info["reward_terms"].keys() == expected.keys()
+        for name, value in expected.items():
+            # bodies' places are a tick older than joint positions: 2 ms of motion of the seat's distance
+            assert info["reward_terms"][name] == pytest.approx(value, abs=1e-3 if name == "approach" else 1e-9), name
+        previous = action.astype(float)
+        if terminated:
+            break
+
+
+@every_id
+def test_the_sparse_reward_says_whether_every_axis_is_within_five_centimetres(env_id):
+    env, policy = make(env_id, reward_mode="sparse"), aerograsp_env.reference_policy(env_id)
+    observation, _ = env.reset(seed=0)
+    state, seen = None, set()
+    for _ in range(1500):
+        action, state = policy.predict(observation, state)
+        observation, reward, terminated, _, info = env.step(action)
+        error = np.abs(env._worlds.parameters["set_point"][0] - env.data.qpos[:3])
+        held = env_id == DOCK or bool(env.state["coupled"])
+        within = float(held and not terminated and (error <= 0.05).all())
+        assert info["reward_terms"] == {"within": within}
+        assert reward == within
+        seen.add(reward)
+    assert 1.0 in seen
+
+
+def test_metrics_are_those_of_the_true_error_after_the_first_five_seconds():
+    env, policy, state = make(), aerograsp_env.reference_policy(DOCK), None
+    observation, _ = env.reset(seed=2)
+    errors, changes, previous = [], [], np.zeros(3)
+    for _ in range(600):
+        action, state = policy.predict(observation, state)
+        observation, _, terminated, _, info = env.step(action)
+        errors.append(env._worlds.parameters["set_point"][0] - env.data.qpos[:3])
+        changes.append(np.sum((action - previous) ** 2))
+        previous = action
+        assert not terminated
+    late = np.array(errors)[250:]
+    for i, axis in enumerate("xyz"):
+        assert info["metrics"][f"error_{axis}"] == pytest.approx(np.abs(late[:, i]).mean(), rel=1e-9)
+        assert info["metrics"][f"bias_{axis}"] == pytest.approx(late[:, i].mean(), abs=1e-12)
+        assert info["metrics"][f"std_{axis}"] == pytest.approx(late[:, i].std(), rel=1e-6)
+    assert info["metrics"]["error"] == pytest.approx(np.abs(late).mean(), rel=1e-9)
+    assert info["metrics"]["effort"] == pytest.approx(np.sqrt(np.mean(changes)), rel=1e-6)
+    assert info["success"] is bool((np.abs(late).mean(axis=0) <= 0.05).all())
+
+
+# terminations -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("reason", "options", "action"),
+    [
+        ("overload", {"tool": {"overload_force": 1.0}}, (1.0, 1.0, 1.0)),
+        ("joint_limit", {"tool": {"overload_force": 1e4}}, (1.0, 0.0, -1.0)),
+        ("out_of_bounds", {"docked": False, "localization": "truth", "config": DockConfig(bound=0.5)}, (0.0, 0.0, 1.0)),
+        ("collision", {"docked": False, "localization": "truth"}, (0.0, 0.0, -1.0)),
+    ],
+)
+def test_each_termination_happens_and_is_named(reason, options, action):
+    env = make(**options)
+    env.reset(seed=0)
+    if reason == "collision":  # right over the pipe
+        above = np.array([0.0, 0.0, PIPE_HEIGHT + 0.7]) - env._worlds.parameters["nominal"][0]
+        env.reset(seed=0, options={"set_point": (0.0, 0.0, 0.0), "start": above})
+    for _ in range(500):
+        _, reward, terminated, truncated, info = env.step(np.float32(action))
+        if terminated:
+            break
+    assert terminated and not truncated
+    assert info["termination"] == reason
+    assert info["reward_terms"]["crash"] == -10.0
+    assert reward == sum(info["reward_terms"].values())
+    assert info["metrics"]["crash"] == 1.0
+    assert info["success"] is False
+
+
+# documented tables --------------------------------------------------------------------------------
+
+
+def tables(cls: type) -> list[list[list[str]]]:
+    """The Markdown tables of a class's docstring, each a list of rows of cells without its header."""
+    found: list[list[list[str]]] = []
+    rows: list[list[str]] = []
+    for line in [*inspect.getdoc(cls).splitlines(), ""]:
+        if line.startswith("|"):
+            rows.append([cell.strip() for cell in line.strip("|").split(" | ")])
+        elif rows:
+            found.append(rows[2:])
+            rows = []
+    return found
+
+
+@every_id
+def test_the_documented_action_table_is_the_action_space(env_id):
+    env, table = make(env_id), tables(CLASSES[env_id])[0]
+    assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (len(table),), np.float32)
+    assert len(env.action_layout) == len(table)
+    for i, (row, dimension) in enumerate(zip(table, env.action_layout, strict=True)):
+        number, name, scale, unit, frame = row
+        assert (int(number), name, unit, frame) == (i, dimension.name, dimension.unit, dimension.frame)
+        assert float(scale) == dimension.scale
+
+
+@every_id
+def test_the_documented_observation_table_is_the_observation_space(env_id):
+    env, table = make(env_id), tables(CLASSES[env_id])[1]
+    observation, _ = env.reset(seed=0)
+    assert {row[0] for row in table} == set(env.observation_space.spaces) == set(observation)
+    for name, size, bound, _ in table:
+        box = env.observation_space[name]
+        assert box.shape == (int(size),) and box.dtype == np.float32
+        np.testing.assert_allclose(box.high, float(bound), rtol=1e-7)
+        np.testing.assert_array_equal(box.low, -box.high)
+
+
+@every_id
+def test_the_documented_reward_table_is_the_rewards(env_id):
+    env, table = make(env_id), tables(CLASSES[env_id])[2]
+    _, info = env.reset(seed=0)
+    assert {row[0] for row in table} == set(info["reward_terms"])
+
+
+@every_id
+def test_the_documented_options_exist(env_id):
+    text = inspect.getdoc(CLASSES[DOCK])
+    options = text[text.index("Options:") :]
+    names = re.findall(r"`(\w+)", options)
+    for name in names:
+        if name not in ("aerograsp_env",):
+            assert name in {key for option in OPTIONS for key in option}, name
+
+
+def test_previous_actions_are_newest_first():
+    env = make()
+    env.reset(seed=0)
+    given = np.random.default_rng(0).uniform(-0.2, 0.2, (8, 3)).astype(np.float32)
+    for action in given:
+        observation, *_ = env.step(action)
+    np.testing.assert_allclose(observation["previous_actions"].reshape(6, 3), given[::-1][:6], atol=1e-7)
+
+
+def test_the_error_integral_is_the_integral_of_the_observed_error():
+    env = make(wind="gusty")
+    observation, _ = env.reset(seed=0)
+    total = np.zeros(3)
+    for _ in range(100):
+        total += observation["position_error"].astype(float) * env.dt
+        observation, *_ = env.step(np.zeros(3, np.float32))
+        np.testing.assert_allclose(observation["error_integral"], total, atol=1e-6)
+
+
+# refusals -----------------------------------------------------------------------------------------
+
+
+@every_id
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"wind": "gustyy"}, ("wind", "'gusty'", "'calm'")),
+        ({"wind": 3}, ("wind", "WindConfig")),
+        ({"localization": "GPS "}, ("localization", "'gps'")),
+        ({"localisation": "gps"}, ("localisation", "did you mean 'localization'")),
+        ({"windd": "calm"}, ("windd", "did you mean 'wind'")),
+        ({"reward_mode": "spars"}, ("reward_mode", "'sparse'")),
+        ({"render_mode": "rgb"}, ("render_mode", "'rgb_array'")),
+        ({"airframe": "firefl"}, ("airframe", "'firefly'")),
+        ({"command_frame": "body"}, ("command_frame", "'heading'")),
+        ({"command_delay": -0.1}, ("command_delay",)),
+        ({"command_delay": 1.0}, ("command_delay", "0.28")),
+        ({"command_delay": (0.1, 0.05)}, ("command_delay",)),
+        ({"command_delay": "soon"}, ("command_delay", "'soon'")),
+        ({"command_delay": float("nan")}, ("command_delay",)),
+        ({"payload": -1.0}, ("payload",)),
+        ({"payload": "heavy"}, ("payload", "'heavy'")),
+        ({"velocity_limit": 3.0}, ("velocity_limit", "Table 5.2")),
+        ({"velocity_limit": (1.0, 2.0)}, ("velocity_limit",)),
+        ({"velocity_limit": 0.0}, ("velocity_limit",)),
+        ({"docked": 1}, ("docked",)),
+        ({"randomize": "yes"}, ("randomize", "RandomizeConfig")),
+        ({"randomize": {"mas": (1, 1)}}, ("randomize", "mas")),
+        ({"randomize": {"mass": (2, 1)}}, ("mass",)),
+        ({"sensors": 0.1}, ("sensors", "SensorConfig")),
+        ({"autopilot": {"kp": 1}}, ("autopilot", "kp")),
+        ({"tool": {"lengths": (0.1, 0.2)}}, ("lengths",)),
+        ({"config": {}}, ("config", "DockConfig")),
+        ({"camera": "top"}, ("camera", "'side'")),
+    ],
+    ids=lambda value: named(value) if isinstance(value, dict) else "",
+)
+def test_bad_options_are_refused_by_name(env_id, options, words):
+    with pytest.raises(ValueError) as caught, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Gymnasium itself warns of an unknown render_mode
+        gymnasium.make(env_id, **options)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_undocked_tool_senses_no_position():
+    with pytest.raises(ValueError, match="localization='dock' needs docked=True"):
+        gymnasium.make(DOCK, docked=False)
+
+
+@pytest.mark.parametrize("wrong", ["aerograsp/Dokc-v0", "aerograsp/Dock-v7", "aerograsp/Dck-v0"])
+def test_unknown_ids_name_the_nearest(wrong):
+    with pytest.raises((ValueError, gymnasium.error.Error), match="Dock"):
+        gymnasium.make(wrong)
+    with pytest.raises(ValueError, match="aerograsp/Dock-v0"):
+        aerograsp_env.reference_policy(wrong)
+
+
+@every_id
+@pytest.mark.parametrize(
+    ("action", "word"),
+    [
+        (lambda n: np.full(n, np.nan, np.float32), "finite"),
+        (lambda n: np.full(n, np.inf, np.float32), "finite"),
+        (lambda n: np.zeros(n + 1, np.float32), "shape"),
+        (lambda n: np.zeros((1, n), np.float32), "shape"),
+        (lambda n: 0.0, "shape"),
+        (lambda n: ["a"] * n, "numeric"),
+        (lambda n: np.zeros(n, bool), "numeric"),
+        (lambda n: np.zeros(n, complex), "numeric"),
+        (lambda n: None, "numeric"),
+    ],
+)
+def test_bad_actions_are_refused_and_change_nothing(env_id, action, word):
+    env = make(env_id)
+    env.reset(seed=0)
+    before = truth(env)
+    with pytest.raises(ValueError, match=f"action must .*{word}"):
+        env.step(action(env.action_space.shape[0]))
+    assert all(np.array_equal(a, b) for a, b in zip(before, truth(env), strict=True))
+
+
+@every_id
+def test_actions_beyond_one_count_as_one(env_id):
+    one, two = make(env_id), make(env_id)
+    one.reset(seed=0)
+    two.reset(seed=0)
+    n = one.action_space.shape
+    for _ in range(5):
+        assert all(equal(a, b) for a, b in zip(one.step(np.full(n, 7.0)), two.step(np.ones(n)), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"goal": (0, 0, 0)}, "set_point"),
+        ({"set_point": (0.0, 0.0)}, "set_point"),
+        ({"set_point": (0.0, np.nan, 0.0)}, "set_point"),
+        ({"start": (1.0, 0.0, 0.0)}, "start"),
+        ({"tilt": (1.0, 0.0)}, "tilt"),
+        ({"wind_direction": np.inf}, "wind_direction"),
+    ],
+)
+def test_bad_reset_options_are_refused(options, word):
+    env = make()
+    with pytest.raises(ValueError, match=word):
+        env.reset(seed=0, options=options)
+    env.reset(seed=0, options=AT_NOMINAL)  # and the environment is still good
+
+
+def test_stepping_before_the_first_reset_is_refused():
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        make().step(np.zeros(3, np.float32))
