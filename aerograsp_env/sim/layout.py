@@ -6,6 +6,9 @@ copied, compared and reset.
 
 from __future__ import annotations
 
+import hashlib
+from pathlib import Path
+
 import numpy as np
 
 SUBSTEPS = 10  # physics ticks per control step
@@ -29,6 +32,20 @@ TERMINATIONS = ("", "joint_limit", "collision", "overload", "out_of_bounds", "di
 # columns of the pointer table, filled by worlds.py
 POINTERS = ("model", "data", "qpos", "qvel", "qacc", "ctrl", "xfrc", "qfrc", "xmat", "xpos", "sensordata")
 (P_MODEL, P_DATA, P_QPOS, P_QVEL, P_QACC, P_CTRL, P_XFRC, P_QFRC, P_XMAT, P_XPOS, P_SENSOR) = range(len(POINTERS))
+
+
+def _sources() -> str:
+    """A hash of the sources that the compiled loop is made of.
+
+    numba's cache on disk knows a compiled function by its own file alone, not by the files of what it calls or takes constants
+    from. With this in a field's name the hash is part of the arguments' type, and so of what the cache looks up.
+    """
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        if path.stem.startswith("kernel") or path.stem in ("layout", "scene", "airframe"):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]
+
 
 F = np.float64
 PARAMETERS = np.dtype(
@@ -119,6 +136,7 @@ PARAMETERS = np.dtype(
         ("couple_distance", F),
         ("couple_angle", F),
         ("couple_speed", F),
+        (f"sources_{_sources()}", np.int64),
     ],
     align=True,
 )
