@@ -85,3 +85,8 @@ class DockConfig:
             value = getattr(self, name)
             if not np.isfinite(value) or not low_ <= value <= high_:
                 raise ValueError(f"{name} must be in [{low_}, {high_}], got {value}")
+
+    @property
+    def free_source(self) -> str:
+        """The position source while the tool is not coupled: what `localization` names, by camera where that is the tool."""
+        return "vision" if self.attach and self.localization == "dock" else self.localization

@@ -85,7 +85,7 @@ def make_parameters(config: DockConfig, model: mujoco.MjModel) -> np.ndarray:
 def set_sensors(p: np.ndarray, config: DockConfig, sensors: SensorConfig) -> None:
     """Write the noise of `sensors` into the record, in place."""
     source = getattr(sensors, config.localization)
-    far = sensors.vision if config.attach else source  # before it is docked the vehicle sees by camera
+    far = getattr(sensors, config.free_source)
     p["velocity_wander_limit"] = source.velocity_limit
     p["velocity_wander_blend"] = _blend(sensors.velocity_wander_time, CONTROL_STEP)
     p["velocity_std"], p["velocity_blend"] = sensors.velocity_std, _blend(sensors.velocity_time, CONTROL_STEP)

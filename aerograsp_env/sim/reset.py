@@ -17,6 +17,7 @@ from aerograsp_env.sim.docking_tool import R_WORLD_BASE
 from aerograsp_env.sim.kernel_sensors import blow, slow_errors
 from aerograsp_env.sim.parameters import make_parameters, set_sensors
 from aerograsp_env.sim.scene import DOCK_POSITION, JOINT_NAMES, TIMESTEP, quaternion
+from aerograsp_env.sim.sensors import SensorConfig
 from aerograsp_env.sim.wind import dryden_coefficients
 
 HANGING = np.array([0.0, 0.0, np.radians(33.0), np.radians(57.0), 0.0])  # θ of the tool at rest below the vehicle [rad]
@@ -42,8 +43,10 @@ def check_options(options: dict | None) -> dict:
     return options
 
 
-def randomize(config: RandomizeConfig, base: DockConfig, p: np.ndarray, model: mujoco.MjModel, nominal, rng) -> None:
-    """Draw one vehicle: writes into the record and this world's own model. `nominal` is the unchanged model."""
+def randomize(
+    config: RandomizeConfig, base: DockConfig, p: np.ndarray, model: mujoco.MjModel, nominal, rng
+) -> SensorConfig:
+    """Draw one vehicle: writes into the record and this world's own model; returns its sensors. `nominal` stays."""
     draw = {name: rng.uniform(*getattr(config, name)) for name in config.__dataclass_fields__}
     body = int(p["airframe_body"])
     model.body_mass[body] = nominal.body_mass[body] * draw["mass"]
@@ -62,7 +65,9 @@ def randomize(config: RandomizeConfig, base: DockConfig, p: np.ndarray, model: m
     p["rotor_drag"] *= draw["drag"]
     for name in ("velocity_p", "velocity_i", "velocity_d"):
         p[name] *= draw["velocity_gains"]
-    set_sensors(p, base, base.sensors.scaled(draw["sensor_noise"]))
+    sensors = base.sensors.scaled(draw["sensor_noise"])
+    set_sensors(p, base, sensors)
+    return sensors
 
 
 def close_loop(model: mujoco.MjModel, data: mujoco.MjData) -> float:
@@ -130,8 +135,9 @@ def reset_world(config: DockConfig, nominal: mujoco.MjModel, model, data, rng, o
     """Begin an episode in one world: writes its parameter and state records (zero-dimensional views) and its MjData."""
     p = make_parameters(config, nominal)
     s = np.zeros((), lay.STATE)
+    sensors = config.sensors
     if config.randomize is not None:
-        randomize(config.randomize, config, p, model, nominal, rng)
+        sensors = randomize(config.randomize, config, p, model, nominal, rng)
     mujoco.mj_resetData(model, data)
 
     set_point = rng.uniform(-config.set_point_spread, config.set_point_spread, 3)
@@ -164,8 +170,7 @@ def reset_world(config: DockConfig, nominal: mujoco.MjModel, model, data, rng, o
     p["mean_wind"] = config.wind.mean_speed * np.array([c, d, 0.0])
     s["gust"] = dryden_coefficients(config.wind, CONTROL_STEP).initial @ gusts
     s["velocity_wander"], s["velocity_fast"], s["attitude_wander"], s["source_wander"] = slow.reshape(4, 3)
-    sensors = config.sensors
-    source = sensors.vision if config.attach else getattr(sensors, config.localization)
+    source = getattr(sensors, config.free_source)
     s["jump_phase"] = 1 + int(phase * (p["source_jump_period"] - 1))
     s["source_offset"] = signs * source.offset
     s["gyro_bias"] = sensors.imu.gyro_bias_std * bias[:3]
