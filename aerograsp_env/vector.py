@@ -54,6 +54,8 @@ class DockVectorEnv(VectorEnv):
             raise ValueError(f"num_envs must be a positive integer, got {num_envs!r}")
         if not isinstance(max_episode_steps, (int, np.integer)) or max_episode_steps < 1:
             raise ValueError(f"max_episode_steps must be a positive integer, got {max_episode_steps!r}")
+        if threads is not None and (not isinstance(threads, (int, np.integer)) or threads < 1):
+            raise ValueError(f"threads must be a positive integer or None, got {threads!r}")
         if render_mode is not None:
             raise ValueError(f"render_mode must be None for batched worlds (render a single one), got {render_mode!r}")
         if not isinstance(autoreset_mode, AutoresetMode):
