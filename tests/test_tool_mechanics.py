@@ -260,6 +260,20 @@ def test_position_samples_are_held_between(source, rate):
     np.testing.assert_array_equal(changed, np.arange(50 // rate, 61, 50 // rate))
 
 
+@pytest.mark.parametrize(("source", "rate"), [("dock", 25), ("vision", 25), ("gps", 10), ("truth", 50)])
+def test_before_it_is_coupled_the_tool_is_helped_by_the_source_that_was_asked_for_or_vision(source, rate):
+    env = make(ATTACH, localization=source, wind="light")
+    env.reset(seed=0)
+    held, errors = [env.state["estimate"].copy()], []
+    for _ in range(60):
+        env.step(np.array([0.1, 0.0, 0.1, 0.0, -1.0], np.float32))
+        held.append(env.state["estimate"].copy())
+        errors.append(np.abs(held[-1] - env.data.qpos[:3]).max())
+    changed = np.flatnonzero((np.diff(held, axis=0) != 0).any(axis=1)) + 1
+    np.testing.assert_array_equal(changed, np.arange(50 // rate, 61, 50 // rate))
+    assert (max(errors) < 1e-9) == (source == "truth")
+
+
 def test_quiet_sensors_tell_the_truth():
     env = make(**FREE)
     observation, _ = env.reset(seed=0, options=AT_NOMINAL | {"start": (0.3, -0.2, 0.1)})
