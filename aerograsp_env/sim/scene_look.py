@@ -24,7 +24,7 @@ ASSETS = """
 
 # name: position and what it looks at [m], vertical field of view [deg] (MJCF's unit)
 _CAMERAS = {
-    "side": ((0.75, 1.75, 3.95), (-0.33, -0.06, 3.25), 37.0),
+    "side": ((0.75, 1.75, 3.95), (-0.36, -0.06, 3.27), 40.0),
     "front": ((1.9, -1.6, 4.1), (-0.25, -0.10, 3.25), 34.0),
     "tool": ((0.55, 0.75, 3.45), (-0.12, 0.0, 3.14), 32.0),
 }
@@ -67,6 +67,12 @@ def _ellipsoid(center: tuple[float, ...], radii: tuple[float, ...], material: st
     return (
         f'<geom type="ellipsoid" pos="{numbers(*center)}" size="{numbers(*radii)}" material="{material}" class="look"/>'
     )
+
+
+def camera_heading(name: str) -> float:
+    """Heading of a camera's line of sight about world z [rad]."""
+    position, target, _ = _CAMERAS[name]
+    return float(np.arctan2(target[1] - position[1], target[0] - position[0]))
 
 
 def camera_look() -> str:
