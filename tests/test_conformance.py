@@ -263,8 +263,8 @@ def expected_terms(env, action_change: float, terminated: bool) -> dict[str, flo
     coupled = bool(env.state["coupled"])
     work = 1.0 if coupled or not attach else 0.0
     terms = {
-        "position": work * 0.5 * tolerance(error, margin=0.10, sigmoid="gaussian"),
-        "precision": work * 0.5 * tolerance(error, margin=0.03, sigmoid="long_tail"),
+        "position": work * 0.5 * tolerance(error, margin=0.20, sigmoid="linear"),
+        "precision": work * 0.5 * tolerance(error, margin=0.02, sigmoid="long_tail"),
         "effort": -0.05 * min(action_change, 4.0),
         "crash": -10.0 * terminated,
     }

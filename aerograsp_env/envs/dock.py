@@ -40,8 +40,8 @@ class DockEnv(DockBase):
 
     | term | value |
     | --- | --- |
-    | position | 0.5 · tolerance(e, margin 0.10 m, gaussian) |
-    | precision | 0.5 · tolerance(e, margin 0.03 m, long_tail) |
+    | position | 0.5 · tolerance(e, margin 0.20 m, linear) |
+    | precision | 0.5 · tolerance(e, margin 0.02 m, long_tail) |
     | effort | −0.05 · min(‖Δaction‖², 4) |
     | crash | −10 on termination |
 
@@ -99,8 +99,8 @@ class DockAttachEnv(DockBase):
 
     | term | value |
     | --- | --- |
-    | position | 0.5 · tolerance(e, margin 0.10 m, gaussian), 0 before the coupling |
-    | precision | 0.5 · tolerance(e, margin 0.03 m, long_tail), 0 before the coupling |
+    | position | 0.5 · tolerance(e, margin 0.20 m, linear), 0 before the coupling |
+    | precision | 0.5 · tolerance(e, margin 0.02 m, long_tail), 0 before the coupling |
     | approach | 0.3 · tolerance(distance base–seat, margin 1 m, long_tail); 0.3 once coupled |
     | effort | −0.05 · min(‖Δaction‖², 4) |
     | crash | −10 on termination |

@@ -25,7 +25,6 @@ METRICS = (
     "effort", "crash", "clamp_force_max",
 )  # fmt: skip
 SUCCESS_ERROR = 0.05  # [m] per axis
-_GAUSSIAN = -math.log(0.1)  # tolerance(): value 0.1 at the margin
 
 
 @compiled
@@ -155,8 +154,8 @@ def _bookkeeping(p, s, qpos):
 def _rewards(p, s, distance, seat_distance, terms):
     """Bounded terms, see the reward table in envs/dock.py."""
     at_work = 1.0 if p.attach == 0 or s.coupled == 1 else 0.0
-    terms[_POSITION] = at_work * 0.5 * math.exp(-_GAUSSIAN * (distance / 0.10) ** 2)
-    terms[_PRECISION] = at_work * 0.5 / (1.0 + 9.0 * (distance / 0.03) ** 2)
+    terms[_POSITION] = at_work * 0.5 * max(1.0 - 0.9 * distance / 0.20, 0.0)
+    terms[_PRECISION] = at_work * 0.5 / (1.0 + 9.0 * (distance / 0.02) ** 2)
     terms[_APPROACH] = 0.0
     if p.attach == 1:
         terms[_APPROACH] = 0.3 if s.coupled == 1 else 0.3 / (1.0 + 9.0 * seat_distance**2)
