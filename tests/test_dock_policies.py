@@ -126,7 +126,7 @@ MODELS = [
 
 @pytest.mark.parametrize("model", MODELS)
 def test_feedback_is_optimal_and_stable(model):
-    """A policy is optimal if it is greedy against its own value, which a Lyapunov sum gives without a Riccati equation."""
+    """A policy is optimal if it is greedy against its own value, which a Lyapunov sum gives, not a Riccati equation."""
     r = model.design(dock.STEP)
     closed = r.transition - np.outer(r.input, r.feedback)
     assert np.abs(np.linalg.eigvals(closed)).max() < 1.0
