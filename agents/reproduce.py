@@ -1,0 +1,97 @@
+"""`aerograsp reproduce TABLE`: a published table or figure beside what this project measures."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import Any, NamedTuple
+
+from agents.arguments import Parser, add_episodes, add_json, add_seed, guarded
+from agents.files import write_atomic, write_json
+from agents.reproduction import Reproduction, Request
+from agents.seeds import TEST_SEED
+
+
+class Table(NamedTuple):
+    """One reproduction."""
+
+    module: str  # has `run(Request) -> Reproduction`
+    title: str
+    counts: bool = False  # takes a number of episodes
+    draws: bool = False  # has a picture
+
+
+TABLES = {
+    "table-5.3": Table("agents.table_5_3", "holding error by GPS, vision and tool (thesis Table 5.3)", counts=True),
+    "step-response": Table("agents.step_response", "velocity steps under PX4's gains", draws=True),
+    "figure-5.15": Table("agents.figure_5_15", "the tool's workspace quality (thesis figure 5.15)", draws=True),
+    "firefly-motion": Table("agents.firefly_motion", "motion beside a real Firefly's flight (EuRoC data set)"),
+}
+
+
+def reproduce(name: str, request: Request | None = None) -> Reproduction:
+    """Run one reproduction.
+
+    Raises:
+        ValueError: an unknown name, or episodes or a picture asked of one that has none.
+        FileNotFoundError: a data set that it needs is absent.
+    """
+    request = request or Request()
+    if name not in TABLES:
+        import difflib
+
+        near = difflib.get_close_matches(name, TABLES, n=1, cutoff=0.3)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"unknown table {name!r}; there are: {', '.join(TABLES)}{hint}")
+    table = TABLES[name]
+    if request.episodes is not None and not table.counts:
+        raise ValueError(f"--episodes: {name} does not count episodes")
+    if request.picture and not table.draws:
+        raise ValueError(
+            f"--out: {name} has no picture; pictures: {', '.join(n for n, t in TABLES.items() if t.draws)}"
+        )
+    result: Reproduction = importlib.import_module(table.module).run(request)
+    return result
+
+
+def main(argv: list[str]) -> int:
+    """`aerograsp reproduce`."""
+    from agents.provenance import provenance
+
+    listing = "; ".join(f"{name}: {table.title}" for name, table in TABLES.items())
+    parser = Parser(prog="aerograsp reproduce", description=__doc__, epilog=listing)
+    parser.add_argument("table", metavar="TABLE", help=", ".join(TABLES))
+    add_episodes(parser, default=None)
+    add_seed(parser, TEST_SEED)
+    add_json(parser)
+    parser.add_argument("--out", metavar="FILE", type=_picture_target, default=None, help="write the picture (PNG)")
+    args = parser.parse_args(argv)
+    result = reproduce(args.table, Request(args.seed, args.episodes, args.out is not None))
+    if args.json != "-":
+        print(result.text)
+    if args.out is not None and result.picture is not None:
+        write_atomic(args.out, result.picture)
+        print(f"picture: {args.out}", file=sys.stderr)
+    if args.json:
+        record: dict[str, Any] = {
+            "provenance": provenance(" ".join(["aerograsp reproduce", *argv])),
+            "table": args.table,
+        }
+        write_json(args.json, record | result.data)
+    return 0
+
+
+def _picture_target(text: str) -> str:
+    import argparse
+    from pathlib import Path
+
+    path = Path(text)
+    if path.suffix.lower() != ".png":
+        raise argparse.ArgumentTypeError(f"expected a name that ends in .png, got {text!r}")
+    if not path.absolute().parent.is_dir():
+        raise argparse.ArgumentTypeError(f"no such folder: {path.absolute().parent}")
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(guarded("aerograsp reproduce", main, sys.argv[1:]))
