@@ -20,7 +20,8 @@ BAND = 0.05  # settled: within this share of the step from then on
 
 NOTES = """\
 Velocity set-point 0 → {step} m/s along one axis, undocked, still air, position and velocity sensed without error; PX4
-v1.14's default gains. Rise: 10 → 90 % of the step; overshoot: of the step; settling: within ± {band:.0f} % from then on."""
+v1.14's default gains. Rise: 10 → 90 % of the step; overshoot: of the step; settling: from then on within
+± {band:.0f} %."""
 
 
 class StepMetrics(NamedTuple):

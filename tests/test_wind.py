@@ -32,7 +32,7 @@ def military_spectrum(frequency, sigma, speed, altitude):
 def series() -> np.ndarray:
     """(N, 3) gusts along, across and up from the compiled step that the environments run."""
     _, _, p, s = world(DockConfig(wind=GUSTY))
-    rng, n = np.random.default_rng(2), 2**17
+    rng, n = np.random.default_rng(2), 2**16
     p.wind_axes[:] = np.eye(3)
     s.gust[:] = dryden_coefficients(GUSTY, CONTROL_STEP).initial @ rng.standard_normal(5)
     noise, row, out = rng.standard_normal((n, 5)), np.zeros(SLOW_NOISE), np.empty((n, 3))
@@ -47,7 +47,7 @@ def test_spectrum_of_a_long_series(series):
     frequency, power = welch(series.T, fs=1 / CONTROL_STEP, nperseg=2**13, window="hann", detrend=False)
     expected = military_spectrum(frequency[1:], GUSTY.gust_std, GUSTY.mean_speed, GUSTY.altitude)
     ratio = power[:, 1:] / expected
-    for low, high, tolerance in ((0.02, 0.08, 0.35), (0.08, 0.5, 0.12), (0.5, 5.0, 0.06)):
+    for low, high, tolerance in ((0.02, 0.08, 0.35), (0.08, 0.5, 0.15), (0.5, 5.0, 0.08)):
         band = (frequency[1:] >= low) & (frequency[1:] < high)
         np.testing.assert_allclose(ratio[:, band].mean(axis=1), 1.0, atol=tolerance)
 
@@ -83,13 +83,13 @@ def test_the_process_does_not_depend_on_the_time_step():
 def test_gusts_are_stationary_from_the_first_sample():
     env = make(**(FREE | {"wind": GUSTY}))
     first = []
-    for seed in range(400):
+    for seed in range(200):
         env.reset(seed=seed)
         first.append(env.state["wind"].copy())
     gusts = np.array(first) - GUSTY.mean_speed * np.array([np.cos(0.4), np.sin(0.4), 0.0])
     along = gusts @ np.array([[np.cos(0.4), -np.sin(0.4), 0.0], [np.sin(0.4), np.cos(0.4), 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(along.mean(axis=0), 0.0, atol=4 / np.sqrt(400))
-    np.testing.assert_allclose(along.std(axis=0), GUSTY.gust_std, atol=4 / np.sqrt(2 * 400))
+    np.testing.assert_allclose(along.mean(axis=0), 0.0, atol=4 / np.sqrt(200))
+    np.testing.assert_allclose(along.std(axis=0), GUSTY.gust_std, atol=4 / np.sqrt(2 * 200))
 
 
 def test_steady_wind_blows_towards_its_azimuth():
@@ -99,10 +99,10 @@ def test_steady_wind_blows_towards_its_azimuth():
         np.testing.assert_allclose(env.state["wind"], [4 * np.cos(2.0), 4 * np.sin(2.0), 0.0], atol=1e-12)
         env.step(np.zeros(3, np.float32))
     azimuths = []
-    for seed in range(200):
+    for seed in range(100):
         env.reset(seed=seed)
         azimuths.append(np.arctan2(env.state["wind"][1], env.state["wind"][0]))
-    assert np.abs(np.exp(1j * np.array(azimuths)).mean()) < 0.25  # drawn from all round
+    assert np.abs(np.exp(1j * np.array(azimuths)).mean()) < 0.3  # drawn from all round
 
 
 def test_levels_are_those_documented():
