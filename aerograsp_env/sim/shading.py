@@ -24,11 +24,14 @@ _HIGHLIGHT = 0.5  # of a material of specular 1
 
 
 class Texture(NamedTuple):
+    """What is used of a texture."""
+
     mean: Array  # (3,) linear RGB
     contrast: Array | None  # (3, 1) of a 2×2 checker: its colours are mean · (1 ± contrast)
 
 
 def read_texture(model: mujoco.MjModel, index: int) -> Texture:
+    """Mean colour of the model's texture `index`, and its contrast if it is a checker."""
     height, width, channels = (int(x[index]) for x in (model.tex_height, model.tex_width, model.tex_nchannel))
     start = int(model.tex_adr[index])
     pixels = model.tex_data[start : start + height * width * channels].reshape(height, width, channels)
@@ -108,6 +111,7 @@ def sky(sine: Array) -> Array:
 
 
 def decode_srgb(value: Array) -> NDArray[np.float32]:
+    """sRGB in [0, 1] as linear light."""
     value = np.asarray(value, dtype=np.float32)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
@@ -119,4 +123,5 @@ _SRGB = np.rint(255 * np.where(_LEVELS <= 0.0031308, 12.92 * _LEVELS, 1.055 * _L
 
 
 def encode_srgb(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Linear light, clipped to [0, 1], as sRGB bytes."""
     return _SRGB[(linear.clip(0.0, 1.0) * np.float32(4095) + np.float32(0.5)).astype(np.intp)]
