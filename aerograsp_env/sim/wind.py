@@ -9,6 +9,7 @@ depend on the time step. The stationary distribution seeds it: an episode does n
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,13 +58,13 @@ class DrydenCoefficients:
     initial: NDArray[np.float64]  # (5, 5)
 
 
+@lru_cache(maxsize=64)  # every reset asks, and matrix functions cost more than the rest of it
 def dryden_coefficients(config: WindConfig, dt: float) -> DrydenCoefficients:
-    """Exact discretisation for time step `dt` [s]; all zero where there are no gusts."""
+    """Exact discretisation for time step `dt` [s]; all zero where there are no gusts. The arrays are read-only."""
     a, g = np.zeros((5, 5)), np.zeros((5, 3))
     output = np.zeros((3, 5))
     if config.gust_std == 0.0:
-        zero = np.zeros((5, 5))
-        return DrydenCoefficients(zero, zero, output, zero)
+        return _frozen(a, a, output, a)
     speed = max(config.mean_speed, 1.0)  # Dryden's frozen field needs a speed; in a calm mean the gusts still change
     along, vertical = config.length_scales()
     tau = along / speed
@@ -78,7 +79,13 @@ def dryden_coefficients(config: WindConfig, dt: float) -> DrydenCoefficients:
     stationary = solve_continuous_lyapunov(a, -g @ g.T)
     transition = expm(a * dt)
     step = stationary - transition @ stationary @ transition.T
-    return DrydenCoefficients(transition, np.linalg.cholesky(step), output, np.linalg.cholesky(stationary))
+    return _frozen(transition, np.linalg.cholesky(step), output, np.linalg.cholesky(stationary))
+
+
+def _frozen(*arrays: NDArray[np.float64]) -> DrydenCoefficients:
+    for array in arrays:
+        array.flags.writeable = False
+    return DrydenCoefficients(*arrays)
 
 
 def dryden_spectrum(config: WindConfig, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
