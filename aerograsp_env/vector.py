@@ -132,7 +132,7 @@ class DockVectorEnv(VectorEnv):
         terminations = self._worlds.flags[:, 1].copy()
         truncations = (self._worlds.states["step"] >= self.max_episode_steps) & ~terminations
         finished = terminations | truncations
-        self._done = finished
+        self._done = finished.copy()  # restarting clears it; the masks handed out must stay
         infos = self._infos(self._every)
         if mode == AutoresetMode.SAME_STEP and finished.any():
             observation, final = self._observation(), np.full(self.num_envs, None, dtype=object)
@@ -157,8 +157,9 @@ class DockVectorEnv(VectorEnv):
             terms[name], terms[f"_{name}"] = worlds.terms[:, column].copy(), mask
         figures: dict[str, Any] = {}
         columns = worlds.metrics.T.copy()
+        counted = mask & (worlds.states["error_count"] > 0)
         for name, column_values in zip(METRICS, columns, strict=True):
-            figures[name], figures[f"_{name}"] = column_values, mask
+            figures[name], figures[f"_{name}"] = column_values, mask if name in task.ALWAYS_REPORTED else counted
         return {
             "success": worlds.flags[:, 0].copy(), "_success": mask,
             "reward_terms": terms, "_reward_terms": mask,

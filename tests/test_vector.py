@@ -36,9 +36,9 @@ def actions_of(env_id: str, observation: dict[str, np.ndarray], rng: np.random.G
 
 
 def row(value: Any, i: int) -> Any:
-    """World i of a batched value: nested dicts of arrays, without Gymnasium's masks."""
+    """World i of a batched value: nested dicts of arrays, with what Gymnasium's masks say it has."""
     if isinstance(value, dict):
-        return {k: row(v, i) for k, v in value.items() if not k.startswith("_")}
+        return {k: row(v, i) for k, v in value.items() if not k.startswith("_") and value.get(f"_{k}", {i: True})[i]}
     return value[i]
 
 

@@ -62,6 +62,7 @@ class DockBase(gymnasium.Env):
         worlds = self._worlds
         self._row, self._terms_row, self._metrics_row = worlds.observations[0], worlds.terms[0], worlds.metrics[0]
         self._flags, self._termination = worlds.flags[0], worlds.states["termination"]
+        self._counted = worlds.states["error_count"]
         self._scene_view: Any = None
         self._begun = False
 
@@ -110,10 +111,13 @@ class DockBase(gymnasium.Env):
 
     def _info(self) -> dict[str, Any]:
         terms = self._terms_row.tolist()
+        metrics = dict(zip(METRICS, self._metrics_row.tolist(), strict=True))
+        if not self._counted.item():
+            metrics = {name: metrics[name] for name in task.ALWAYS_REPORTED}
         return {
             "success": self._flags.item(0),
             "reward_terms": {name: terms[column] for name, column in self._terms},
-            "metrics": dict(zip(METRICS, self._metrics_row.tolist(), strict=True)),
+            "metrics": metrics,
             "termination": lay.TERMINATIONS[self._termination.item()],
         }
 

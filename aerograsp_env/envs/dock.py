@@ -50,8 +50,8 @@ class DockEnv(DockBase):
     Success: no termination, and the mean true |error| of every axis after the first 5 s ≤ 0.05 m.
 
     Termination (`info["termination"]`): a tool joint pressed through its printed stop, a collision, a clamp force above the tool's strength,
-    the vehicle out of bounds. `info["metrics"]` holds mean |error|, bias and spread per axis after 5 s, effort (rms change of
-    action per step), crash and the largest clamp force.
+    the vehicle out of bounds. `info["metrics"]` holds mean |error|, bias and spread per axis after 5 s (absent before), effort
+    (rms change of action per step), crash and the largest clamp force.
 
     Options: `wind`, `localization="dock"|"gps"|"vision"|"truth"`, `docked` (False: free hover, tool hanging), `randomize`,
     `command_delay` (seconds, or a range drawn per episode), `payload` [kg, unknown to the autopilot], `airframe`, `sensors`,

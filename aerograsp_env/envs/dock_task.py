@@ -10,6 +10,8 @@ from gymnasium import spaces
 from aerograsp_env.sim.config import DockConfig
 from aerograsp_env.sim.kernel import TERMS
 
+ALWAYS_REPORTED = ("effort", "crash", "clamp_force_max")  # the other metrics only once errors count, after the first seconds
+
 Layout = tuple[tuple[str, int, float], ...]
 
 
