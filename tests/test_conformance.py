@@ -427,12 +427,12 @@ def test_previous_actions_are_newest_first():
     np.testing.assert_allclose(observation["previous_actions"].reshape(6, 3), given[::-1][:6], atol=1e-7)
 
 
-def test_the_error_integral_is_the_integral_of_the_observed_error():
+def test_the_error_integral_is_the_leaky_integral_of_the_observed_error():
     env = make(wind="gusty")
     observation, _ = env.reset(seed=0)
     total = np.zeros(3)
     for _ in range(100):
-        total += observation["position_error"].astype(float) * env.dt
+        total = np.exp(-env.dt / 10.0) * total + observation["position_error"].astype(float) * env.dt
         observation, *_ = env.step(np.zeros(3, np.float32))
         np.testing.assert_allclose(observation["error_integral"], total, atol=1e-6)
 

@@ -26,7 +26,7 @@ class DockEnv(DockBase):
     | name | size | bound | what |
     | --- | --- | --- | --- |
     | position_error | 3 | 5 | set-point − estimated airframe position, command frame [m] |
-    | error_integral | 3 | 5 | its integral over the episode [m s] |
+    | error_integral | 3 | 5 | its leaky integral, time constant 10 s [m s] |
     | velocity | 3 | 5 | the autopilot's velocity estimate, command frame [m/s] |
     | attitude | 3 | 3.1415927 | estimated roll, pitch, yaw [rad] |
     | angular_velocity | 3 | 20 | gyroscope, body frame [rad/s] |
@@ -83,7 +83,7 @@ class DockAttachEnv(DockBase):
     | name | size | bound | what |
     | --- | --- | --- | --- |
     | position_error | 3 | 5 | docked set-point − estimated airframe position, command frame [m] |
-    | error_integral | 3 | 5 | its integral since the start, or since the coupling [m s] |
+    | error_integral | 3 | 5 | its leaky integral, time constant 10 s, from zero at the coupling [m s] |
     | velocity | 3 | 5 | the autopilot's velocity estimate, command frame [m/s] |
     | attitude | 3 | 3.1415927 | estimated roll, pitch, yaw [rad] |
     | angular_velocity | 3 | 20 | gyroscope, body frame [rad/s] |

@@ -305,7 +305,9 @@ def step_worlds(
         s.step += 1
         for i in range(3):
             s.error_integral[i] = clip(
-                s.error_integral[i] + observations[n, i] * lay.SUBSTEPS * TIMESTEP, -bounds[3 + i], bounds[3 + i]
+                lay.INTEGRAL_LEAK * s.error_integral[i] + observations[n, i] * lay.SUBSTEPS * TIMESTEP,
+                -bounds[3 + i],
+                bounds[3 + i],
             )
         _read(pointers[n], p, s, row, bounds, observations[n], specific_force, seat_offset, r, xmat)
         _rewards(p, s, distance, seat, terms[n])

@@ -9,9 +9,12 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
+import math
+
 import numpy as np
 
 SUBSTEPS = 10  # physics ticks per control step
+INTEGRAL_LEAK = math.exp(-0.02 / 10.0)  # a step of the observed error integral's 10 s memory
 HISTORY = 16  # remembered actions: bounds the command delay
 OBSERVED_ACTIONS = 6
 POTENTIOMETER_SAMPLES = 24  # 1200 Hz at 50 Hz control
