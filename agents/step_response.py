@@ -87,7 +87,7 @@ def respond(airframe: str, axis: int, seed: int, duration: float = DURATION) -> 
         config=DockConfig(bound=50.0),
     )
     world: Any = env.unwrapped
-    env.reset(seed=seed, options={"set_point": (0.0, 0.0, 0.0), "start": (0.0, 0.0, 0.0)})
+    env.reset(seed=seed, options={"goal": (0.0, 0.0, 0.0), "start": (0.0, 0.0, 0.0)})
     action = np.eye(3, dtype=np.float32)[axis]
     velocities = [world.data.qvel[:3].copy()]
     for _ in range(round(duration / world.dt)):

@@ -18,7 +18,7 @@ from aerograsp_env.sim.sensors import SensorConfig
 
 DOCK, ATTACH = "aerograsp/Dock-v0", "aerograsp/DockAttach-v0"
 QUIET = SensorConfig().scaled(0.0)
-AT_NOMINAL = {"set_point": (0.0, 0.0, 0.0), "start": (0.0, 0.0, 0.0), "tilt": (0.0, 0.0)}
+AT_NOMINAL = {"goal": (0.0, 0.0, 0.0), "start": (0.0, 0.0, 0.0), "tilt": (0.0, 0.0)}
 FREE: dict[str, Any] = {"docked": False, "localization": "truth", "wind": "calm", "sensors": QUIET}
 """Free hover in still air, everything sensed without error."""
 

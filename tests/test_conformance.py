@@ -214,7 +214,7 @@ def test_explicit_start_and_goal_are_honoured_exactly(env_id):
         np.array([-0.30, 0.02, 0.40]) if env_id == ATTACH else np.array([0.02, -0.03, 0.01]),
         [0.01, 0.015, -0.01],
     )
-    observation, _ = env.reset(seed=1, options={"start": start, "set_point": goal, "wind_direction": 1.0})
+    observation, _ = env.reset(seed=1, options={"start": start, "goal": goal, "wind_direction": 1.0})
     nominal = env._worlds.parameters["nominal"][0]
     np.testing.assert_array_equal(env.data.qpos[:3], nominal + start)
     np.testing.assert_array_equal(env._worlds.parameters["set_point"][0], nominal + goal)
@@ -349,7 +349,7 @@ def test_each_termination_happens_and_is_named(reason, options, action):
     env.reset(seed=0)
     if reason == "collision":  # right over the pipe
         above = np.array([0.0, 0.0, PIPE_HEIGHT + 0.7]) - env._worlds.parameters["nominal"][0]
-        env.reset(seed=0, options={"set_point": (0.0, 0.0, 0.0), "start": above})
+        env.reset(seed=0, options={"goal": (0.0, 0.0, 0.0), "start": above})
     for _ in range(500):
         _, reward, terminated, truncated, info = env.step(np.float32(action))
         if terminated:
@@ -533,9 +533,9 @@ def test_actions_beyond_one_count_as_one(env_id):
 @pytest.mark.parametrize(
     ("options", "word"),
     [
-        ({"goal": (0, 0, 0)}, "set_point"),
-        ({"set_point": (0.0, 0.0)}, "set_point"),
-        ({"set_point": (0.0, np.nan, 0.0)}, "set_point"),
+        ({"gaol": (0, 0, 0)}, "goal"),
+        ({"goal": (0.0, 0.0)}, "goal"),
+        ({"goal": (0.0, np.nan, 0.0)}, "goal"),
         ({"start": (1.0, 0.0, 0.0)}, "start"),
         ({"tilt": (1.0, 0.0)}, "tilt"),
         ({"wind_direction": np.inf}, "wind_direction"),

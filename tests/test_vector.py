@@ -181,12 +181,12 @@ def test_a_masked_reset_leaves_the_other_worlds_alone():
     before, *_ = env.step(np.full((3, 3), 0.2, np.float32))
     states = env.unwrapped.states.copy()
     mask = np.array([False, True, False])
-    observation, info = env.reset(seed=9, options={"reset_mask": mask, "set_point": (0.0, 0.0, 0.01)})
+    observation, info = env.reset(seed=9, options={"reset_mask": mask, "goal": (0.0, 0.0, 0.01)})
     assert_same(row(before, 0), row(observation, 0))
     assert_same(row(before, 2), row(observation, 2))
     assert states[0] == env.unwrapped.states[0] and env.unwrapped.states["step"][1] == 0
     np.testing.assert_array_equal(info["_success"], mask)
-    single, _ = gymnasium.make(DOCK, wind="gusty").reset(seed=10, options={"set_point": (0.0, 0.0, 0.01)})
+    single, _ = gymnasium.make(DOCK, wind="gusty").reset(seed=10, options={"goal": (0.0, 0.0, 0.01)})
     assert_same(single, row(observation, 1))
 
 
@@ -243,7 +243,7 @@ def test_bad_calls_are_refused():
         ([1, 2], None, "seed"),
         (0, {"reset_mask": [True]}, "reset_mask"),
         (0, {"reset_mask": np.ones(3)}, "reset_mask"),
-        (0, {"goal": 1}, "set_point"),
+        (0, {"gaol": 1}, "goal"),
     ):
         with pytest.raises(ValueError, match=word):
             env.reset(seed=seed, options=options)

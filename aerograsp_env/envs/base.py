@@ -89,7 +89,7 @@ class DockBase(gymnasium.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode.
 
-        options: "set_point" and "start", (3,) offsets from the nominal airframe position [m]; "wind_direction" [rad], the azimuth
+        options: "goal" and "start", the set-point and the first position as (3,) offsets from the nominal airframe position [m]; "wind_direction" [rad], the azimuth
         the mean wind blows towards; "tilt" (2,) of the clamped base about its x and y axes [rad].
         """
         checked = check_options(options)

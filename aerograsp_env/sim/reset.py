@@ -21,7 +21,7 @@ from aerograsp_env.sim.sensors import SensorConfig
 from aerograsp_env.sim.wind import dryden_coefficients
 
 HANGING = np.array([0.0, 0.0, np.radians(33.0), np.radians(57.0), 0.0])  # θ of the tool at rest below the vehicle [rad]
-RESET_OPTIONS = ("set_point", "start", "wind_direction", "tilt")
+RESET_OPTIONS = ("goal", "start", "wind_direction", "tilt")
 
 
 def offset_option(options: dict, name: str, limit: float) -> NDArray[np.float64] | None:
@@ -149,7 +149,7 @@ def reset_world(config: DockConfig, nominal: mujoco.MjModel, model, data, rng, o
     signs = rng.choice([-1.0, 1.0], 3)
     phase = rng.uniform()
     reach = 2.0 if config.attach or not config.docked else 0.12
-    given = offset_option(options, "set_point", 0.12)
+    given = offset_option(options, "goal", 0.12)
     set_point = set_point if given is None else given
     if config.attach:
         start = np.array([-0.45, 0.0, 0.45]) + start / max(config.start_spread, 1e-9) * np.array([0.15, 0.15, 0.10])
