@@ -32,7 +32,10 @@ Observation = dict[str, NDArray[np.float32]]
 class DockBase(gymnasium.Env):
     """One world of the docking scene; the tasks differ in where an episode begins and what its action may do."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": available_render_modes(), "render_fps": round(1.0 / CONTROL_STEP)}
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": available_render_modes(),
+        "render_fps": round(1.0 / CONTROL_STEP),
+    }
     attach = False
 
     def __init__(
@@ -83,14 +86,18 @@ class DockBase(gymnasium.Env):
 
     @property
     def state(self) -> np.void:
-        """The simulator's record of this world (dtype `aerograsp_env.sim.layout.STATE`): the truth, for oracles and tests."""
+        """The simulator's record of this world (dtype `aerograsp_env.sim.layout.STATE`): the truth, for oracles and
+        tests."""
         return self._worlds.states[0]
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode.
 
-        options: "goal" and "start", the set-point and the first position as (3,) offsets from the nominal airframe position [m]; "wind_direction" [rad], the azimuth
-        the mean wind blows towards; "tilt" (2,) of the clamped base about its x and y axes [rad].
+        options: "goal" and "start", the set-point and the first position as (3,) offsets from the nominal airframe
+        position [m]; "wind_direction" [rad], the azimuth the mean wind blows towards; "tilt" (2,) of the clamped base
+        about its x and y axes [rad].
         """
         checked = check_options(options)
         super().reset(seed=seed)
@@ -122,7 +129,8 @@ class DockBase(gymnasium.Env):
         }
 
     def render(self) -> NDArray[Any] | None:
-        """The scene as `render_mode` says; joints are coloured by their distance to saturation (green far, red at a limit)."""
+        """The scene as `render_mode` says; joints are coloured by their distance to saturation (green far, red at a
+        limit)."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() was called, but the environment was made without render_mode")
             return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import os
 import sys
 from collections.abc import Iterable
@@ -48,7 +47,8 @@ def choose(name: str, value: Any, valid: Iterable[str]) -> str:
 
 
 def _instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = None) -> Any:
-    """A configuration value: an instance, one of the names that stand for one, or a mapping of changes to the default."""
+    """A configuration value: an instance, one of the names that stand for one, or a mapping of changes to the
+    default."""
     if isinstance(value, kind):
         return value
     if names is not None and isinstance(value, str):
@@ -135,16 +135,15 @@ def dock_config(
 
 
 def check_action(action: Any, shape: tuple[int, ...]) -> NDArray[Any]:
-    """`action` as a numeric array of `shape` with finite values; the compiled step clips it to [−1, 1].
+    """`action` as a numeric array of `shape`; the compiled step refuses what is not finite and clips to [−1, 1].
 
-    Raises ValueError where its dtype is not numeric, its shape differs or a value is not finite.
+    Raises ValueError where its dtype is not numeric or its shape differs.
     """
     array = np.asarray(action)
     if array.dtype.kind not in "fiu":
-        raise ValueError(f"action must be a numeric array of shape {shape}, got {type(action).__name__} of dtype {array.dtype}")
+        raise ValueError(
+            f"action must be a numeric array of shape {shape}, got {type(action).__name__} of dtype {array.dtype}"
+        )
     if array.shape != shape:
         raise ValueError(f"action must have shape {shape}, got {array.shape}")
-    # a finite sum of squares proves finite values and is cheaper than looking at each
-    if not math.isfinite(np.vdot(array, array)) and not np.isfinite(array).all():
-        raise ValueError(f"action must be finite, got {array.tolist()}")
     return array

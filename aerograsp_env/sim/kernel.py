@@ -1,7 +1,7 @@
 """One control step of any number of docking worlds, compiled: autopilot, air, MuJoCo, sensors, errors and rewards.
 
-A control step is `SUBSTEPS` physics ticks of autopilot → rotors → mj_step. MuJoCo is called through its C pointer, so no tick costs a
-line of Python, and worlds are independent, so that any slice of them can be stepped from any thread.
+A control step is `SUBSTEPS` physics ticks of autopilot → rotors → mj_step. MuJoCo is called through its C pointer, so
+no tick costs a line of Python, and worlds are independent, so that any slice of them can be stepped from any thread.
 """
 
 from __future__ import annotations
@@ -168,7 +168,8 @@ def _rewards(p, s, distance, seat_distance, terms):
 
 @compiled
 def summarize(p, s, terms, metrics, flags):
-    """What depends on how the step ended: crash and sparse terms, the episode's figures so far, (success, terminated)."""
+    """What depends on how the step ended: crash and sparse terms, the episode's figures so far, (success,
+    terminated)."""
     crashed = s.termination != lay.RUNNING
     terms[_CRASH] = -10.0 if crashed else 0.0
     count = max(s.error_count, 1)
@@ -199,7 +200,8 @@ def summarize(p, s, terms, metrics, flags):
 
 @compiled
 def observe(p, s, r, specific_force, seat_offset, out):
-    """Writes the flat observation row in the order of layout.DOCK_OBSERVATION (or ATTACH_OBSERVATION), clipped to its bounds."""
+    """Writes the flat observation row in the order of layout.DOCK_OBSERVATION (or ATTACH_OBSERVATION), clipped to its
+    bounds."""
     ch, sh = 1.0, 0.0
     if p.heading_frame == 1:
         h = math.atan2(r[1, 0], r[0, 0])
@@ -269,14 +271,14 @@ def _read(pointers, p, s, noise, bounds, out, specific_force, seat_offset, r, xm
 
 @compiled
 def step_worlds(
-    step_function, pointers, parameters, states, noise, cursors, active, actions, bounds, observations, terms, metrics, flags,
-    first, last,
+    step_function, pointers, parameters, states, noise, cursors, active, actions, bounds, observations, terms, metrics,
+    flags, first, last,
 ):  # fmt: skip
     """Advance those of the worlds first … last−1 that are `active` (N,) by one control step.
 
-    actions (N, A) float64, clipped to [−1, 1] here; noise (N, block, NOISE) with `cursors` (N,) saying which row is next; writes observations
-    (N, D) float32, reward terms (N, len(TERMS)), metrics (N, len(METRICS)) and flags (N, 2) = (success, terminated). Returns how
-    many of the worlds have used up their noise.
+    actions (N, A) float64, clipped to [−1, 1] here; noise (N, block, NOISE) with `cursors` (N,) saying which row is
+    next; writes observations (N, D) float32, reward terms (N, len(TERMS)), metrics (N, len(METRICS)) and flags (N, 2) =
+    (success, terminated). Returns how many of the worlds have used up their noise.
     """
     used_up = 0
     specific_force, seat_offset, r = np.zeros(3), np.zeros(3), np.empty((3, 3))

@@ -32,7 +32,9 @@ def blow(p, s):
 def slow_errors(p, s):
     """Present errors of the velocity, attitude and position estimates, from their processes' states."""
     for i in range(3):
-        s.velocity_error[i] = p.velocity_wander_limit[i] * bounded(s.velocity_wander[i]) + p.velocity_std * s.velocity_fast[i]
+        s.velocity_error[i] = (
+            p.velocity_wander_limit[i] * bounded(s.velocity_wander[i]) + p.velocity_std * s.velocity_fast[i]
+        )
         s.attitude_error[i] = p.attitude_limit * bounded(s.attitude_wander[i])
 
 
@@ -65,16 +67,21 @@ def advance_slow(p, s, noise):
 
 @compiled
 def sample_joints(p, s, qpos, qvel, tick, noise, count):
-    """Potentiometer samples that fall into the physics tick just done; returns how many were taken so far in this step."""
+    """Potentiometer samples that fall into the physics tick just done; returns how many were taken so far in this
+    step."""
     end = (tick + 1) * TIMESTEP
     period = SUBSTEPS * TIMESTEP / POTENTIOMETER_SAMPLES
     while count < POTENTIOMETER_SAMPLES and (count + 1) * period <= end + 1e-9:
         back = end - (count + 1) * period
         for j in range(5):
             a = p.joint_address[j]
-            angle = qpos[a] - back * qvel[a - 1] + s.potentiometer_offset[j] + p.potentiometer_std * noise[5 * count + j]
+            angle = (
+                qpos[a] - back * qvel[a - 1] + s.potentiometer_offset[j] + p.potentiometer_std * noise[5 * count + j]
+            )
             angle = clip(angle, p.signal_limits[j, 0], p.signal_limits[j, 1])
-            s.joints[j] += p.potentiometer_quantum * math.floor(angle / p.potentiometer_quantum + 0.5) / POTENTIOMETER_SAMPLES
+            s.joints[j] += (
+                p.potentiometer_quantum * math.floor(angle / p.potentiometer_quantum + 0.5) / POTENTIOMETER_SAMPLES
+            )
         count += 1
     return count
 
@@ -83,8 +90,9 @@ def sample_joints(p, s, qpos, qvel, tick, noise, count):
 def tool_position(p, s, r):
     """Airframe origin (3,) in the world from the joint readings, the base's tilt and the estimated attitude r (3, 3).
 
-    The seat's place and heading are known (they define the frame); its tilt comes from the base accelerometer, the airframe's
-    roll and pitch from the autopilot, its heading from the joints (the flex between tip and airframe is not sensed).
+    The seat's place and heading are known (they define the frame); its tilt comes from the base accelerometer, the
+    airframe's roll and pitch from the autopilot, its heading from the joints (the flex between tip and airframe is not
+    sensed).
     """
     tip, chain, level = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     tool_forward(p.lengths, s.joints, tip, chain)

@@ -1,15 +1,14 @@
 """The memory that Python and the compiled loop share: one record per world for parameters, one for state.
 
-Structured arrays keep the compiled code readable (`s.velocity_integral[i]`) and a world's whole state in one value that can be
-copied, compared and reset.
+Structured arrays keep the compiled code readable (`s.velocity_integral[i]`) and a world's whole state in one value that
+can be copied, compared and reset.
 """
 
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
-
 import math
+from pathlib import Path
 
 import numpy as np
 
@@ -40,8 +39,9 @@ POINTERS = ("model", "data", "qpos", "qvel", "qacc", "ctrl", "xfrc", "qfrc", "xm
 def _sources() -> str:
     """A hash of the sources that the compiled loop is made of.
 
-    numba's cache on disk knows a compiled function by its own file alone, not by the files of what it calls or takes constants
-    from. With this in a field's name the hash is part of the arguments' type, and so of what the cache looks up.
+    numba's cache on disk knows a compiled function by its own file alone, not by the files of what it calls or takes
+    constants from. With this in a field's name the hash is part of the arguments' type, and so of what the cache looks
+    up.
     """
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
@@ -198,7 +198,6 @@ STATE = np.dtype(
         ("coupled_step", np.int64),
         ("effort_sum", F),
         ("clamp_force_max", F),
-        ("gap_max", F),
     ],
     align=True,
 )

@@ -16,6 +16,7 @@ from aerograsp_env.sim import kernel
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import DockConfig
 from aerograsp_env.sim.coupling import clamp
+from aerograsp_env.sim.kernel_math import all_finite
 from aerograsp_env.sim.reset import reset_world
 from aerograsp_env.sim.scene import build_model
 
@@ -34,8 +35,9 @@ def mj_step_address() -> int:
 class Worlds:
     """`n` independent worlds of one configuration.
 
-    Results are rows of arrays that the next call overwrites: `observations` (n, D) float32 in the order of `layout`, reward
-    `terms` (n, len(TERMS)), `metrics` (n, len(METRICS)), `flags` (n, 2) bool = (success, terminated); and `states`.
+    Results are rows of arrays that the next call overwrites: `observations` (n, D) float32 in the order of `layout`,
+    reward `terms` (n, len(TERMS)), `metrics` (n, len(METRICS)), `flags` (n, 2) bool = (success, terminated); and
+    `states`.
     """
 
     def __init__(self, config: DockConfig, n: int, threads: int | None = None) -> None:
@@ -57,7 +59,9 @@ class Worlds:
         self._noise = np.zeros((n, lay.NOISE_BLOCK, lay.NOISE))
         self._cursors = np.zeros(n, np.int64)
         self._actions = np.zeros((n, self.action_size))
-        self._pointers = np.array([self._addresses(m, d) for m, d in zip(self.models, self.datas, strict=True)], np.int64)
+        self._pointers = np.array(
+            [self._addresses(m, d) for m, d in zip(self.models, self.datas, strict=True)], np.int64
+        )
         self._arguments = (
             mj_step_address(), self._pointers, self.parameters, self.states, self._noise, self._cursors,
             self.active, self._actions, self.bounds, self.observations, self.terms, self.metrics, self.flags,
@@ -70,7 +74,17 @@ class Worlds:
 
     @staticmethod
     def _addresses(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
-        arrays = (data.qpos, data.qvel, data.qacc, data.ctrl, data.xfrc_applied, data.qfrc_applied, data.xmat, data.xpos, data.sensordata)
+        arrays = (
+            data.qpos,
+            data.qvel,
+            data.qacc,
+            data.ctrl,
+            data.xfrc_applied,
+            data.qfrc_applied,
+            data.xmat,
+            data.xpos,
+            data.sensordata,
+        )
         return [model._address, data._address, *(a.ctypes.data for a in arrays)]
 
     def reset(self, index: int, rng: np.random.Generator, options: dict) -> None:
@@ -81,7 +95,15 @@ class Worlds:
         self.draw_noise(i, rng)
         self.terms[i], self.metrics[i], self.flags[i] = 0.0, 0.0, False
         kernel.read_worlds(
-            self._pointers, self.parameters, self.states, self._noise, self._cursors, self.bounds, self.observations, i, i + 1
+            self._pointers,
+            self.parameters,
+            self.states,
+            self._noise,
+            self._cursors,
+            self.bounds,
+            self.observations,
+            i,
+            i + 1,
         )
 
     def draw_noise(self, index: int, rng: np.random.Generator) -> None:
@@ -90,11 +112,16 @@ class Worlds:
         self._cursors[index] = 0
 
     def step(self, actions: NDArray[np.float64], rngs: list[np.random.Generator]) -> None:
-        """One control step of every active world. actions (n, A) in [−1, 1], already checked."""
-        if self._used_up:
-            for i in np.flatnonzero(self.active & (self._cursors >= lay.NOISE_BLOCK)):
-                self.draw_noise(i, rngs[i])
+        """One control step of every active world. actions (n, A) or, of one world, (A,); clipped to [−1, 1].
+
+        Raises ValueError, with nothing advanced, where an action is not finite.
+        """
         self._actions[:] = actions
+        if not all_finite(self._actions):
+            raise ValueError(f"action must be finite, got {actions.tolist()}")
+        if self._used_up:
+            for i in np.flatnonzero(self.active & (self._cursors >= lay.NOISE_BLOCK)).tolist():
+                self.draw_noise(i, rngs[i])
         if self._pool is None:
             self._used_up = kernel.step_worlds(*self._arguments, 0, self.n)
         else:
@@ -104,7 +131,8 @@ class Worlds:
                 self.states["termination"][i] = lay.COLLISION
                 kernel.summarize(self.parameters[i], self.states[i], self.terms[i], self.metrics[i], self.flags[i])
         if self.config.attach:
-            for i in np.flatnonzero(self.active & ((self.states["coupled"] | self.states["wants_coupling"]) != 0)):
+            closing = (self.states["coupled"] | self.states["wants_coupling"]) != 0
+            for i in np.flatnonzero(self.active & closing).tolist():
                 clamp(self.datas[i], self.parameters, self.states, i)
 
     def close(self) -> None:
