@@ -1,4 +1,4 @@
-"""aerograsp: Gymnasium environments for aerial manipulation. Importing this package registers every id and nothing more."""
+"""aerograsp: Gymnasium environments for aerial manipulation. Importing this package registers every id, no more."""
 
 from aerograsp_env.registration import reference_policy, register_envs
 

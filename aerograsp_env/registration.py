@@ -1,4 +1,4 @@
-"""The suite's ids, their entry points (strings: nothing is imported until an environment is made) and reference policies."""
+"""The suite's ids, entry points (strings: nothing is imported until an environment is made) and reference policies."""
 
 from __future__ import annotations
 
@@ -13,15 +13,9 @@ if TYPE_CHECKING:
 
 EPISODE_STEPS = 3000  # 60 s at 50 Hz
 
-ENTRY_POINTS: dict[str, dict[str, str]] = {
-    "aerograsp/Dock-v0": {
-        "entry_point": "aerograsp_env.envs.dock:DockEnv",
-        "vector_entry_point": "aerograsp_env.vector:DockVectorEnv",
-    },
-    "aerograsp/DockAttach-v0": {
-        "entry_point": "aerograsp_env.envs.dock:DockAttachEnv",
-        "vector_entry_point": "aerograsp_env.vector:DockAttachVectorEnv",
-    },
+ENTRY_POINTS: dict[str, tuple[str, str]] = {  # of one world, and of a batch
+    "aerograsp/Dock-v0": ("aerograsp_env.envs.dock:DockEnv", "aerograsp_env.vector:DockVectorEnv"),
+    "aerograsp/DockAttach-v0": ("aerograsp_env.envs.dock:DockAttachEnv", "aerograsp_env.vector:DockAttachVectorEnv"),
 }
 
 REFERENCE_POLICIES: dict[str, str] = {
@@ -32,9 +26,9 @@ REFERENCE_POLICIES: dict[str, str] = {
 
 def register_envs() -> None:
     """Register every id once; also the target of the `gymnasium.envs` plugin entry point."""
-    for env_id, points in ENTRY_POINTS.items():
+    for env_id, (single, batched) in ENTRY_POINTS.items():
         if env_id not in gymnasium.registry:
-            gymnasium.register(env_id, max_episode_steps=EPISODE_STEPS, **points)
+            gymnasium.register(env_id, single, max_episode_steps=EPISODE_STEPS, vector_entry_point=batched)
 
 
 def reference_policy(env_id: str) -> Policy:

@@ -24,7 +24,11 @@ from aerograsp_env.sim.reset import check_options
 from aerograsp_env.sim.worlds import Worlds
 
 Observation = dict[str, NDArray[np.float32]]
-_MODES = {"next_step": AutoresetMode.NEXT_STEP, "same_step": AutoresetMode.SAME_STEP, "disabled": AutoresetMode.DISABLED}
+_MODES = {
+    "next_step": AutoresetMode.NEXT_STEP,
+    "same_step": AutoresetMode.SAME_STEP,
+    "disabled": AutoresetMode.DISABLED,
+}
 _TERMINATIONS = np.array(lay.TERMINATIONS)
 
 
@@ -34,7 +38,7 @@ class DockVectorEnv(VectorEnv):
     Args:
         num_envs: number of worlds.
         max_episode_steps: steps after which a world truncates.
-        autoreset_mode: "next_step" (default), "same_step" or "disabled" (then `reset(options={"reset_mask": (N,) bool})`).
+        autoreset_mode: "next_step", "same_step" or "disabled" (then `reset(options={"reset_mask": (N,) bool})`).
         threads: worker threads; default one a core.
     """
 
@@ -98,9 +102,10 @@ class DockVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise ValueError(f"options['reset_mask'] must be a bool array of shape {(self.num_envs,)}, got {mask!r}")
         checked = check_options(options)
-        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if not isinstance(seed, list) else seed
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed must be an int or a list of {self.num_envs}, got {len(seeds)} of them")
+        n = self.num_envs
+        seeds = seed if isinstance(seed, list) else [None if seed is None else seed + i for i in range(n)]
+        if len(seeds) != n:
+            raise ValueError(f"seed must be an int or a list of {n}, got {len(seeds)} of them")
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i], _ = seeding.np_random(seeds[i])
@@ -120,7 +125,8 @@ class DockVectorEnv(VectorEnv):
         checked = check_action(actions, self.action_space.shape or ())
         mode = self.metadata["autoreset_mode"]
         if mode == AutoresetMode.DISABLED and self._done.any():
-            raise gymnasium.error.ResetNeeded(f"worlds {np.flatnonzero(self._done).tolist()} are done: reset them first")
+            done = np.flatnonzero(self._done).tolist()
+            raise gymnasium.error.ResetNeeded(f"worlds {done} are done: reset them first")
         restarted = self._done.copy()
         self._worlds.active[:] = ~restarted
         self._worlds.step(checked, self._rngs)

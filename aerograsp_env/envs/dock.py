@@ -8,8 +8,8 @@ from aerograsp_env.envs.base import DockBase
 class DockEnv(DockBase):
     """Docked to a pipe by the passive tool, hold a set-point in wind.
 
-    The action is the velocity set-point of the autopilot (thesis figure 5.16: outer position loop around PX4's velocity loop).
-    A step lasts 20 ms (10 physics and autopilot ticks); the registered episode 60 s (`max_episode_steps=3000`).
+    The action is the velocity set-point of the autopilot (thesis figure 5.16: outer position loop around PX4's velocity
+    loop). A step lasts 20 ms (10 physics and autopilot ticks); the registered episode 60 s (`max_episode_steps=3000`).
 
     Action, Box(−1, 1, (3,), float32):
 
@@ -19,7 +19,8 @@ class DockEnv(DockBase):
     | 1 | velocity_y | 0.5 | m/s | world |
     | 2 | velocity_z | 0.5 | m/s | world |
 
-    `velocity_limit=` changes the scale (never above the thesis's Table 5.2: 2, 2, 1 m/s), `command_frame="heading"` the frame.
+    `velocity_limit=` changes the scale (never above the thesis's Table 5.2: 2, 2, 1 m/s), `command_frame="heading"` the
+    frame.
 
     Observation, Dict of float32 Boxes within ± bound:
 
@@ -49,13 +50,14 @@ class DockEnv(DockBase):
 
     Success: no termination, and the mean true |error| of every axis after the first 5 s ≤ 0.05 m.
 
-    Termination (`info["termination"]`): a tool joint pressed through its printed stop, a collision, a clamp force above the tool's strength,
-    the vehicle out of bounds. `info["metrics"]` holds mean |error|, bias and spread per axis after 5 s (absent before), effort
-    (rms change of action per step), crash and the largest clamp force.
+    Termination (`info["termination"]`): a tool joint pressed through its printed stop, a collision, a clamp force above
+    the tool's strength, the vehicle out of bounds. `info["metrics"]` holds mean |error|, bias and spread per axis after
+    5 s (absent before), effort (rms change of action per step), crash and the largest clamp force.
 
-    Options: `wind`, `localization="dock"|"gps"|"vision"|"truth"`, `docked` (False: free hover, tool hanging), `randomize`,
-    `command_delay` (seconds, or a range drawn per episode), `payload` [kg, unknown to the autopilot], `airframe`, `sensors`,
-    `tool`, `autopilot`, `reward_mode`, `render_mode`, and `config` for everything else (see `aerograsp_env.sim.config`).
+    Options: `wind`, `localization="dock"|"gps"|"vision"|"truth"`, `docked` (False: free hover, tool hanging),
+    `randomize`, `command_delay` (seconds, or a range drawn per episode), `payload` [kg, unknown to the autopilot],
+    `airframe`, `sensors`, `tool`, `autopilot`, `reward_mode`, `render_mode`, and `config` for everything else (see
+    `aerograsp_env.sim.config`).
     """
 
     attach = False
@@ -64,9 +66,10 @@ class DockEnv(DockBase):
 class DockAttachEnv(DockBase):
     """Fly in, couple the tool to the pipe, and hold the docked set-point.
 
-    The vehicle begins 0.3–0.6 m behind and 0.35–0.55 m above the place where its hanging tool meets the pipe, localised by vision
-    until it is coupled and by the tool from then on. θ0 is locked by its servo until the coupling. The tool couples when the
-    last action says so (> 0), its base is within 4 cm and 20° of the seat and the vehicle slower than 0.4 m/s; the clamp then closes in 0.5 s.
+    The vehicle begins 0.3–0.6 m behind and 0.35–0.55 m above the place where its hanging tool meets the pipe, localised
+    by vision until it is coupled and by the tool from then on. θ0 is locked by its servo until the coupling. The tool
+    couples when the last action says so (> 0), its base is within 4 cm and 20° of the seat and the vehicle slower than
+    0.4 m/s; the clamp then closes in 0.5 s.
 
     Action, Box(−1, 1, (5,), float32):
 
@@ -107,7 +110,8 @@ class DockAttachEnv(DockBase):
 
     Sparse: `within`, 1 while coupled and every axis' true |error| ≤ 0.05 m.
 
-    Success: coupled, and for the last 5 s so held: the mean true |error| of every axis over them ≤ 0.05 m; no termination.
+    Success: coupled, and for the last 5 s so held: the mean true |error| of every axis over them ≤ 0.05 m; no
+    termination.
     """
 
     attach = True

@@ -10,7 +10,8 @@ from gymnasium import spaces
 from aerograsp_env.sim.config import DockConfig
 from aerograsp_env.sim.kernel import TERMS
 
-ALWAYS_REPORTED = ("effort", "crash", "clamp_force_max")  # the other metrics only once errors count, after the first seconds
+# the other metrics only once errors count, after the first seconds
+ALWAYS_REPORTED = ("effort", "crash", "clamp_force_max")
 
 Layout = tuple[tuple[str, int, float], ...]
 
@@ -28,7 +29,8 @@ class ActionDimension:
 def action_layout(config: DockConfig) -> tuple[ActionDimension, ...]:
     """The action's dimensions, in order."""
     frame = config.autopilot.command_frame
-    velocity = tuple(ActionDimension(f"velocity_{a}", v, "m/s", frame) for a, v in zip("xyz", config.velocity_limit, strict=True))
+    axes = zip("xyz", config.velocity_limit, strict=True)
+    velocity = tuple(ActionDimension(f"velocity_{axis}", limit, "m/s", frame) for axis, limit in axes)
     if not config.attach:
         return velocity
     couple = ActionDimension("couple", 1.0, "couples when > 0 and the base lies in the seat", "none")
@@ -41,7 +43,7 @@ def observation_space(layout: Layout) -> spaces.Dict:
 
 
 def slices(layout: Layout) -> dict[str, slice]:
-    """Where each name stands in a flat observation row (gymnasium's Dict sorts its keys; rows keep the layout's order)."""
+    """Where each name stands in a flat observation row (Gymnasium's Dict sorts its keys, rows do not)."""
     result, first = {}, 0
     for name, size, _ in layout:
         result[name] = slice(first, first + size)

@@ -1,1 +1,1 @@
-"""What the world is made of: airframe and autopilot, docking tool, wind, sensors, and the compiled loop that runs them."""
+"""What the world is made of: airframe and autopilot, docking tool, wind, sensors, and the compiled loop over them."""

@@ -1,9 +1,9 @@
 """Hexarotor airframes: mass and inertia from their components, rotors, and the mixer.
 
-Two airframes are described. `BELEROFONTE` is the medium hexarotor of the thesis (section 5.3). Its text gives no masses, so
-they are derived here from a component table (typical parts of that class: 6S battery, mini computer, 15-inch rotors, two
-printed arms) by the parallel-axis theorem. `FIREFLY` carries the published figures of the AscTec Firefly (RotorS, Furrer et
-al. 2016), whose rotor constants are identified ones.
+Two airframes are described. `BELEROFONTE` is the medium hexarotor of the thesis (section 5.3). Its text gives no
+masses, so they are derived here from a component table (typical parts of that class: 6S battery, mini computer, 15-inch
+rotors, two printed arms) by the parallel-axis theorem. `FIREFLY` carries the published figures of the AscTec Firefly
+(RotorS, Furrer et al. 2016), whose rotor constants are identified ones.
 
 Body frame: x forward, y left, z up; origin at the centre of the rotor hubs' ring, in the plane of the booms.
 """
@@ -49,7 +49,8 @@ def mass_properties(components: tuple[Component, ...]) -> tuple[float, NDArray[n
 class Rotor:
     """What the six rotors share.
 
-    thrust = thrust_constant · ω² [N], drag torque = drag_ratio · thrust [N m], ω follows its command with a first-order lag.
+    thrust = thrust_constant · ω² [N], drag torque = drag_ratio · thrust [N m], ω follows its command with a first-order
+    lag.
     """
 
     thrust_constant: float  # [N s²/rad²]
@@ -92,7 +93,8 @@ class AirframeConfig:
     def rotor_positions(self) -> NDArray[np.float64]:
         """(6, 3) hubs in the body frame [m]."""
         a = np.asarray(self.angles)
-        return np.stack([self.arm_length * np.cos(a), self.arm_length * np.sin(a), np.full(6, self.rotor_height)], axis=1)
+        x, y = self.arm_length * np.cos(a), self.arm_length * np.sin(a)
+        return np.stack([x, y, np.full(6, self.rotor_height)], axis=1)
 
     def allocation(self, com: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
         """(4, 6) matrix from rotor thrusts [N] to (collective thrust [N], torque about `com` [N m])."""
@@ -103,8 +105,8 @@ class AirframeConfig:
     def torque_scale(self) -> NDArray[np.float64]:
         """(3,) torque [N m] that PX4's mixer gives a full roll, pitch or yaw command.
 
-        PX4 normalises each axis' column of the mixer to a largest entry of one and each motor's output to its thrust range,
-        which is how one set of default gains serves airframes of any size.
+        PX4 normalises each axis' column of the mixer to a largest entry of one and each motor's output to its thrust
+        range, which is how one set of default gains serves airframes of any size.
         """
         columns = self.allocation(np.zeros(3))[1:]
         weights = columns / np.abs(columns).max(axis=1, keepdims=True)
@@ -132,7 +134,8 @@ def _booms(radius: float, boom_mass: float, motor_mass: float, height: float) ->
     parts = []
     for i, angle in enumerate(np.radians([30.0, 90.0, 150.0, -150.0, -90.0, -30.0])):
         c, s = float(np.cos(angle)), float(np.sin(angle))
-        parts.append(Component(f"boom {i}", boom_mass, (0.5 * radius * c, 0.5 * radius * s, 0.0), (0.025, 0.025, 0.025)))
+        middle = 0.5 * radius * c, 0.5 * radius * s, 0.0
+        parts.append(Component(f"boom {i}", boom_mass, middle, (0.025, 0.025, 0.025)))
         parts.append(Component(f"motor {i}", motor_mass, (radius * c, radius * s, height), (0.05, 0.05, 0.05)))
     return tuple(parts)
 
@@ -165,7 +168,8 @@ FIREFLY = AirframeConfig(
     drag_area=0.03,
     tip_position=(0.22, 0.0, -0.08),
     mass=1.56779,
-    inertia=(0.0347563, 0.0458929, 0.0806),  # published izz 0.0977 exceeds ixx + iyy, which no body's can: held at that limit
+    # published izz 0.0977 exceeds ixx + iyy, which no body's can: held at that limit
+    inertia=(0.0347563, 0.0458929, 0.0806),
 )
 
 AIRFRAMES = {a.name: a for a in (BELEROFONTE, FIREFLY)}

@@ -1,7 +1,7 @@
 """The autopilot's gains, under PX4's own parameter names.
 
-The cascade (velocity → attitude → rates → mixer) runs compiled, in `kernel_control`. Gains are PX4 v1.14's defaults: velocity
-in acceleration units, rates normalised as PX4's mixer normalises them (see `AirframeConfig.torque_scale`).
+The cascade (velocity → attitude → rates → mixer) runs compiled, in `kernel_control`. Gains are PX4 v1.14's defaults:
+velocity in acceleration units, rates normalised as PX4's mixer normalises them (see `AirframeConfig.torque_scale`).
 """
 
 from __future__ import annotations

@@ -67,9 +67,10 @@ class DockConfig:
 
     def __post_init__(self) -> None:
         limit = np.asarray(self.velocity_limit, dtype=float)
-        if limit.shape != (3,) or not np.isfinite(limit).all() or (limit <= 0).any() or (limit > TABLE_5_2_SATURATION).any():
+        if limit.shape != (3,) or not ((limit > 0) & (limit <= TABLE_5_2_SATURATION)).all():
             raise ValueError(
-                f"velocity_limit must be three values in (0, {TABLE_5_2_SATURATION}] m/s (Table 5.2), got {self.velocity_limit!r}"
+                f"velocity_limit must be three values in (0, {TABLE_5_2_SATURATION}] m/s (Table 5.2), "
+                f"got {self.velocity_limit!r}"
             )
         low, high = self.command_delay
         if not (np.isfinite([low, high]).all() and 0.0 <= low <= high <= DELAY_MAX):
@@ -88,5 +89,5 @@ class DockConfig:
 
     @property
     def free_source(self) -> str:
-        """The position source while the tool is not coupled: what `localization` names, by camera where that is the tool."""
+        """The position source while the tool is not coupled: what `localization` names, for the tool a camera."""
         return "vision" if self.attach and self.localization == "dock" else self.localization

@@ -1,8 +1,8 @@
 """Coupling the tool to the pipe in flight: the clamp grips where it lies and closes.
 
-While its jaws close over CLOSING_TIME the seat of the equality constraint moves from where the base was to where the pipe's
-shape holds it: on top of the pipe, upright and in line with it. Where along the pipe it gripped stays as it is; from then on the
-tool measures from there, so the set-point moves along.
+While its jaws close over CLOSING_TIME the seat of the equality constraint moves from where the base was to where the
+pipe's shape holds it: on top of the pipe, upright and in line with it. Where along the pipe it gripped stays as it is;
+from then on the tool measures from there, so the set-point moves along.
 """
 
 from __future__ import annotations

@@ -1,19 +1,21 @@
 """The passive docking tool: five sensed joints between the airframe and a clamp on the pipe.
 
 Geometry after the thesis, section 5.4.1 (equations 5.1–5.4, with the translations along the links) and Table 5.1:
-T_base_tip = T0 T1 T2 T3 T4, T0 = Rz(θ0) Trans(0, 0, l0), Ti = Rx(θi) Trans(0, 0, li) for i = 1…3, T4 = Ry(θ4) Trans(0, l4, 0).
+T_base_tip = T0 T1 T2 T3 T4, with T0 = Rz(θ0) Trans(0, 0, l0), Ti = Rx(θi) Trans(0, 0, li) for i = 1…3 and
+T4 = Ry(θ4) Trans(0, l4, 0).
 
 Choices of ours, which the text leaves open:
-- Joint zeros. The text gives a mechanical range of 170° and a signal range of 150° per joint, not where they lie. `centers`
-  puts them where the usable room around the docked pose is largest (a ball of 10 cm within the signal range of every joint; with
-  every range centred on the straight chain it is 1–2 cm).
-- Mounting. The tip's y axis points up when the vehicle is level (θ1 + θ2 + θ3 = 90°) and the vehicle's forward axis points
-  from the tip to the pipe: R_TIP_BODY.
-- Flex. With a level vehicle θ0 and θ4 are both yaw, so five joints and rigid ends would lock the vehicle's lateral tilt.
-  The thesis leaves a roll joint out because the printed parts give; that give is a soft hinge between tip and airframe.
-- Heading spring. The axis of θ4 is vertical and the hanging chain's weight lies beside it: like a gate on a tilted post it
-  would swing to a stop at any tilt, and no base could be brought into line with the pipe. Wiring and friction prevent that
-  on the real tool; here a spring does, too soft to be felt in docked flight (0.01 N m at 6°).
+- Joint zeros. The text gives a mechanical range of 170° and a signal range of 150° per joint, not where they lie.
+  `centers` puts them where the usable room around the docked pose is largest (a ball of 10 cm within the signal range
+  of every joint; with every range centred on the straight chain it is 1–2 cm).
+- Mounting. The tip's y axis points up when the vehicle is level (θ1 + θ2 + θ3 = 90°) and the vehicle's forward axis
+  points from the tip to the pipe: R_TIP_BODY.
+- Flex. With a level vehicle θ0 and θ4 are both yaw, so five joints and rigid ends would lock the vehicle's lateral
+  tilt. The thesis leaves a roll joint out because the printed parts give; that give is a soft hinge between tip and
+  airframe.
+- Heading spring. The axis of θ4 is vertical and the hanging chain's weight lies beside it: like a gate on a tilted post
+  it would swing to a stop at any tilt, and no base could be brought into line with the pipe. Wiring and friction
+  prevent that on the real tool; here a spring does, too soft to be felt in docked flight (0.01 N m at 6°).
 """
 
 from __future__ import annotations
@@ -44,8 +46,8 @@ class DockingToolConfig:
     nominal_tip: tuple[float, float, float] = (0.0, -0.22, 0.185)  # docked tip position in the base frame [m]
     mechanical_range: float = 2.9670597283903604  # 170° [rad]
     signal_range: float = 2.6179938779914944  # 150°: readings saturate here [rad]
-    link_masses: tuple[float, float, float, float, float, float] = (0.055, 0.015, 0.02, 0.025, 0.02, 0.015)
-    # base with clamp, lock servo and accelerometer; l0 … l4 links: 150 g in all, split by length and fittings (ours) [kg]
+    # base with clamp, lock servo and accelerometer; l0 … l4 links: 150 g in all, split by length and fittings (ours)
+    link_masses: tuple[float, float, float, float, float, float] = (0.055, 0.015, 0.02, 0.025, 0.02, 0.015)  # [kg]
     joint_damping: float = 0.003  # bearings, wiring and potentiometers (ours) [N m s/rad]
     heading_stiffness: float = 0.1  # light spring that centres θ4, see above (ours) [N m/rad]
     joint_armature: float = 1e-5  # keeps the light chain well conditioned (ours) [kg m²]

@@ -13,7 +13,8 @@ from aerograsp_env.sim.scene import DOCK_POSITION, JOINT_NAMES, TIMESTEP
 from aerograsp_env.sim.sensors import SensorConfig
 from aerograsp_env.sim.wind import dryden_coefficients
 
-HOVER_OFFSET = np.array([-0.3, 0.0, 0.6])  # where an undocked vehicle hovers: clear of the pipe, from the docked nominal [m]
+# where an undocked vehicle hovers: clear of the pipe, from the docked nominal [m]
+HOVER_OFFSET = np.array([-0.3, 0.0, 0.6])
 
 
 def _blend(time: float, step: float) -> float:
@@ -63,13 +64,15 @@ def make_parameters(config: DockConfig, model: mujoco.MjModel) -> np.ndarray:
     p["gust_transition"], p["gust_input"], p["gust_output"] = gust.transition, gust.input, gust.output
     set_sensors(p, config, config.sensors)
 
-    p["lengths"], p["signal_limits"], p["mechanical_limits"] = tool.lengths, tool.signal_limits(), tool.mechanical_limits()
+    p["lengths"] = tool.lengths
+    p["signal_limits"], p["mechanical_limits"] = tool.signal_limits(), tool.mechanical_limits()
     p["joint_address"] = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
     p["tip_position"], p["tip_rotation"] = airframe.tip_position, R_TIP_BODY
     p["seat_rotation"], p["seat_position"] = R_WORLD_BASE, DOCK_POSITION
     p["stop_stiffness"], p["stop_damping"] = tool.stop_stiffness, tool.stop_damping
     p["stop_give"] = tool.stop_strength / tool.stop_stiffness
-    p["overload_force"], p["lock_torque"], p["lock_stiffness"] = tool.overload_force, tool.lock_torque, tool.lock_stiffness
+    p["overload_force"] = tool.overload_force
+    p["lock_torque"], p["lock_stiffness"] = tool.lock_torque, tool.lock_stiffness
 
     p["localization"] = lay.LOCALIZATIONS[config.localization]
     p["velocity_limit"], p["yaw_rate_limit"] = config.velocity_limit, config.yaw_rate_limit if config.attach else 0.0

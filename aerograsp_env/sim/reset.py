@@ -1,7 +1,7 @@
 """The beginning of an episode: draws, placing the vehicle, closing the tool's loop, trimming.
 
-A world starts in equilibrium: rotors at hover, the autopilot's integrators as they stand after a while in the wind that blows, the
-slow errors drawn from their stationary distributions. Only then do the first seconds resemble the rest.
+A world starts in equilibrium: rotors at hover, the autopilot's integrators as they stand after a while in the wind that
+blows, the slow errors drawn from their stationary distributions. Only then do the first seconds resemble the rest.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ def offset_option(options: dict, name: str, limit: float) -> NDArray[np.float64]
         return None
     value = np.asarray(options[name], dtype=float)
     if value.shape != (3,) or not np.isfinite(value).all() or np.abs(value).max() > limit:
-        raise ValueError(f"options[{name!r}] must be 3 finite offsets within ±{limit} m of the nominal, got {options[name]!r}")
+        wanted = f"3 finite offsets within ±{limit} m of the nominal"
+        raise ValueError(f"options[{name!r}] must be {wanted}, got {options[name]!r}")
     return value
 
 
@@ -71,7 +72,7 @@ def randomize(
 
 
 def close_loop(model: mujoco.MjModel, data: mujoco.MjData) -> float:
-    """Solve the flex and the five joints so that the tool's base lies in the seat (Gauss–Newton); returns the gap left [m]."""
+    """Bend the flex and the five joints so that the tool's base lies in the seat (Gauss–Newton); the gap left [m]."""
     base, seat = model.site("base").id, model.site("dock").id
     jacobian, wanted = np.zeros((6, model.nv)), np.zeros(3)
     for _ in range(50):
@@ -112,7 +113,7 @@ def _place(config: DockConfig, p: np.ndarray, model, data, start, tilt) -> None:
 
 
 def _trim(p: np.ndarray, s: np.ndarray, config: DockConfig, model, data) -> None:
-    """Hover: rotor speeds that carry the whole vehicle, integrators that carry the wind and what the autopilot does not know."""
+    """Hover: rotor speeds that carry the vehicle, integrators that carry the wind and what it cannot know."""
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     body = int(p["airframe_body"])
@@ -128,7 +129,7 @@ def _trim(p: np.ndarray, s: np.ndarray, config: DockConfig, model, data) -> None
     believed = float(p["believed_mass"])
     vertical = (mass * GRAVITY - drag[2]) * scale / believed - GRAVITY
     s["velocity_integral"] = np.array([-drag[0] * scale / believed, -drag[1] * scale / believed, vertical])
-    s["velocity_integral"] += p["velocity_p"] * s["velocity_error"]  # the loop has settled with the present estimate's error
+    s["velocity_integral"] += p["velocity_p"] * s["velocity_error"]  # the loop has settled with the estimate's error
 
 
 def reset_world(config: DockConfig, nominal: mujoco.MjModel, model, data, rng, options: dict, out_p, out_s) -> None:

@@ -1,17 +1,19 @@
 """What the vehicle's sensors report, as settings: every noise can be set.
 
-The noise of the three position sources and of the velocity estimate is *calibrated*: `aerograsp calibrate` finds it once, on
-seeds of its own, so that a hover under the thesis's PID has the errors of the thesis's Table 5.3. The other figures are
-typical of the parts named.
+The noise of the three position sources and of the velocity estimate is *calibrated*: `aerograsp calibrate` finds it
+once, on seeds of its own, so that a hover under the thesis's PID has the errors of the thesis's Table 5.3. The other
+figures are typical of the parts named.
 
-A bounded wandering error appears in several places: an Ornstein–Uhlenbeck process x (unit variance, time constant τ) passed
-through the normal distribution function, limit · (2Φ(x) − 1). It is stationary, uniform on ± limit and never leaves it, as an
-estimator's error does not that gates its innovations; a Gaussian one would now and then do what no autopilot lets pass.
+A bounded wandering error appears in several places: an Ornstein–Uhlenbeck process x (unit variance, time constant τ)
+passed through the normal distribution function, limit · (2Φ(x) − 1). It is stationary, uniform on ± limit and never
+leaves it, as an estimator's error does not that gates its innovations; a Gaussian one would now and then do what no
+autopilot lets pass.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -29,13 +31,17 @@ def _check_nonnegative(config: object) -> None:
 
 @dataclass(frozen=True)
 class PositionSourceConfig:
-    """A world-frame position source. Per axis: offset (fixed size, sign drawn per episode) + wandering + slips + white noise."""
+    """A world-frame position source.
+
+    Per axis: offset (fixed size, sign drawn per episode) + wandering + slips + white noise. A slip of the tracker goes
+    forth or back; slips recur at an interval, the first at a drawn time.
+    """
 
     rate: float  # [Hz]; must divide the control rate
     offset: Triple = (0.0, 0.0, 0.0)  # [m]
     wander_limit: Triple = (0.0, 0.0, 0.0)  # [m]
     wander_time: float = 20.0  # [s]
-    jump_size: Triple = (0.0, 0.0, 0.0)  # [m] of a tracking slip, forth or back; they recur at an interval, the first at a drawn time
+    jump_size: Triple = (0.0, 0.0, 0.0)  # of a slip [m]
     jump_interval: float = 20.0  # between the beginnings of two slips [s]
     jump_duration: float = 2.0  # until the tracker recovers [s]
     white_std: Triple = (0.0, 0.0, 0.0)  # [m]
@@ -83,7 +89,7 @@ class ImuConfig:
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Every sensor. `velocity_std`, `velocity_time`: the velocity estimate's fast error; its slow one is each source's."""
+    """Every sensor. `velocity_std`, `velocity_time`: the velocity estimate's fast error; each source has a slow one."""
 
     gps: PositionSourceConfig = field(
         default_factory=lambda: PositionSourceConfig(
@@ -123,7 +129,7 @@ class SensorConfig:
         _check_nonnegative(self)
 
     def scaled(self, factor: float) -> SensorConfig:
-        """Every noise amplitude times `factor` (rates and time constants stay): for domain randomisation and studies."""
+        """Every noise amplitude times `factor`, rates and time constants as they are: for randomisation and studies."""
         return _scale(self, factor)
 
 
@@ -131,7 +137,7 @@ _NOT_NOISE = {"rate", "adc_bits", "electrical_range"}
 
 
 def _scale(config, factor: float):
-    changes = {}
+    changes: dict[str, Any] = {}
     for f in fields(config):
         value = getattr(config, f.name)
         if f.name in _NOT_NOISE or f.name.endswith(("_time", "_interval", "_duration")):

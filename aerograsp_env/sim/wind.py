@@ -2,8 +2,8 @@
 
 Along the mean wind the gust is a first-order process, across and vertically a second-order one:
     H_u(s) = σ √(2L/(πV)) / (1 + (L/V) s),     H_v,w(s) = σ √(L/(πV)) (1 + √3 (L/V) s) / (1 + (L/V) s)².
-Each is driven by white noise in state-space form and stepped by its matrix exponential, so that variance and spectrum do not
-depend on the time step. The stationary distribution seeds it: an episode does not begin in still air.
+Each is driven by white noise in state-space form and stepped by its matrix exponential, so that variance and spectrum
+do not depend on the time step. The stationary distribution seeds it: an episode does not begin in still air.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class WindConfig:
             raise ValueError(f"WindConfig.direction must be finite or None, got {self.direction}")
 
     def length_scales(self) -> tuple[float, float]:
-        """(L_u = L_v, L_w) [m] at low altitude, MIL-F-8785C: L_w = h, L_u = h / (0.177 + 0.000823 h)^1.2 with h in feet."""
+        """(L_u = L_v, L_w) [m] at low altitude, MIL-F-8785C: L_w = h, L_u = h / (0.177 + 0.000823 h)^1.2, h in feet."""
         h = self.altitude / _FOOT
         return h / (0.177 + 0.000823 * h) ** 1.2 * _FOOT, h * _FOOT
 

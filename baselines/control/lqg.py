@@ -1,13 +1,16 @@
 """Linear-quadratic-Gaussian regulation of one axis of a velocity-controlled multirotor.
 
-The axis under PX4's velocity loop, about the set-point: position p, velocity v, acceleration a reached through the attitude loop's lag,
-the loop's integrator z, a slow error b of the autopilot's velocity estimate v̂ = v + b, a disturbing acceleration d:
+The axis under PX4's velocity loop, about the set-point: position p, velocity v, acceleration a reached through the
+attitude loop's lag, the loop's integrator z, a slow error b of the autopilot's velocity estimate v̂ = v + b, a
+disturbing acceleration d:
 
-    ṗ = v,   v̇ = a + d,   ȧ = (P (u_d − v̂) + z − D a − a) / τ_a,   ż = I (u_d − v̂),   ḃ = −b/τ_b + …,   ḋ = −d/τ_d + …
+    ṗ = v,   v̇ = a + d,   ȧ = (P (u_d − v̂) + z − D a − a) / τ_a,
+    ż = I (u_d − v̂),   ḃ = −b/τ_b + …,   ḋ = −d/τ_d + …
 
-with u_d the command delayed by k steps. b and d cannot be controlled but are observed (position and v̂ are measured), so the
-regulator cancels them: the cost is on position and on the *change* of the command, which lets a constant command cost nothing.
-Discretised exactly; both gains from the discrete algebraic Riccati equation (Anderson & Moore, Optimal Control, 1990).
+with u_d the command delayed by k steps. b and d cannot be controlled but are observed (position and v̂ are measured), so
+the regulator cancels them: the cost is on position and on the *change* of the command, which lets a constant command
+cost nothing. Discretised exactly; both gains from the discrete algebraic Riccati equation (Anderson & Moore, Optimal
+Control, 1990).
 """
 
 from __future__ import annotations
@@ -53,7 +56,8 @@ class AxisModel:
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
             value = getattr(self, name)
-            if not np.isfinite(value) or value < 0 or (value == 0 and name not in ("velocity_i", "velocity_d", "delay")):
+            may_vanish = name in ("velocity_i", "velocity_d", "delay")
+            if not np.isfinite(value) or value < 0 or (value == 0 and not may_vanish):
                 raise ValueError(f"AxisModel.{name} must be positive and finite, got {value}")
 
     def design(self, step: float) -> LinearQuadraticGaussian:
@@ -62,7 +66,8 @@ class AxisModel:
         Raises ValueError if the Riccati equations have no stabilising solution.
         """
         delays = round(self.delay / step)
-        n = 6 + max(delays, 1)  # p v a z b d, then the commands on their way, oldest first; the newest is the last one given
+        # p v a z b d, then the commands on their way, oldest first; the newest is the last one given
+        n = 6 + max(delays, 1)
         a = np.zeros((6, 6))
         a[0, 1] = 1.0
         a[1, 2] = a[1, 5] = 1.0
@@ -94,7 +99,8 @@ class AxisModel:
         try:
             c = measurement[:, :6]
             covariance = solve_discrete_are(discrete[:6, :6].T, c.T, noise, seen)
-            value = solve_discrete_are(transition, inputs[:, None], state_cost, np.array([[self.change_weight / step**2]]))
+            change_cost = np.array([[self.change_weight / step**2]])
+            value = solve_discrete_are(transition, inputs[:, None], state_cost, change_cost)
         except np.linalg.LinAlgError as error:
             raise ValueError(f"AxisModel: no stabilising regulator for these constants ({error})") from error
         gain = np.zeros((n, 2))  # commands are known: nothing is estimated about them

@@ -1,4 +1,4 @@
-"""Reference policies by id: the only modules that read observation dictionaries. Values are "module:factory" strings."""
+"""Reference policies by id, as "module:factory" strings; the only modules that read observation dictionaries."""
 
 POLICIES: dict[str, dict[str, str]] = {
     "aerograsp/Dock-v0": {

@@ -1,6 +1,7 @@
 """Docked positioning: the thesis's PID, a tuned one, and an LQG with a disturbance estimate.
 
-All three read the observation alone, take an optional leading batch axis, and keep what they remember in the returned state.
+All three read the observation alone, take an optional leading batch axis, and keep what they remember in the returned
+state.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from baselines.control.lqg import AxisModel, LinearQuadraticGaussian
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
+Limit = float | tuple[float, float, float]  # [m/s] of a full action, for all axes or each
 
 STEP = 0.02  # [s] of the docking environments
 VELOCITY_LIMIT = 0.5  # [m/s] of a full action: the environments' default
@@ -44,7 +46,7 @@ def _tuned(name: str) -> dict[str, Any]:
 class PIDPolicy:
     """Velocity set-point = PID(position error), after the thesis's cascade (figure 5.16)."""
 
-    def __init__(self, controller: PID, velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT, step: float = STEP):
+    def __init__(self, controller: PID, velocity_limit: Limit = VELOCITY_LIMIT, step: float = STEP) -> None:
         self.controller, self.step = controller, step
         self.velocity_limit = np.broadcast_to(np.asarray(velocity_limit, dtype=float), (3,))
 
@@ -58,18 +60,18 @@ class PIDPolicy:
         return np.clip(velocity / self.velocity_limit, -1.0, 1.0).astype(np.float32), state
 
 
-def pid(velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT) -> PIDPolicy:
+def pid(velocity_limit: Limit = VELOCITY_LIMIT) -> PIDPolicy:
     """The reference policy: the gains of the thesis's Table 5.2."""
     return PIDPolicy(PID(**THESIS_GAINS), velocity_limit)
 
 
-def pid_from_gains(gains: Mapping[str, Any], velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT) -> PIDPolicy:
+def pid_from_gains(gains: Mapping[str, Any], velocity_limit: Limit = VELOCITY_LIMIT) -> PIDPolicy:
     """A PID from horizontal and vertical gains {"kp": (xy, z), "ki": …, "kd": …, "derivative_time_constant": …}."""
     axes = {name: (value[0], value[0], value[1]) for name, value in gains.items()}
     return PIDPolicy(PID(integral_limit=(1.0, 1.0, 1.0), output_limit=(2.0, 2.0, 1.0), **axes), velocity_limit)
 
 
-def pid_tuned(velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT) -> PIDPolicy:
+def pid_tuned(velocity_limit: Limit = VELOCITY_LIMIT) -> PIDPolicy:
     """The PID with gains found on training seeds by `aerograsp tune aerograsp/Dock-v0 --policy pid-tuned`."""
     return pid_from_gains(_tuned("pid-tuned"), velocity_limit)
 
@@ -84,13 +86,11 @@ class LQGState(NamedTuple):
 class LQGPolicy:
     """One linear-quadratic-Gaussian regulator an axis; see `baselines.control.lqg`.
 
-    It knows the autopilot's structure and PX4's default gains, models the slow error of the velocity estimate and a wind
-    acceleration as disturbance states, and predicts through the command delay.
+    It knows the autopilot's structure and PX4's default gains, models the slow error of the velocity estimate and a
+    wind acceleration as disturbance states, and predicts through the command delay.
     """
 
-    def __init__(
-        self, regulators: tuple[LinearQuadraticGaussian, ...], velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT
-    ):
+    def __init__(self, regulators: tuple[LinearQuadraticGaussian, ...], velocity_limit: Limit = VELOCITY_LIMIT) -> None:
         self.velocity_limit = np.broadcast_to(np.asarray(velocity_limit, dtype=float), (3,))
         self._transition = np.stack([r.transition for r in regulators])
         self._input = np.stack([r.input for r in regulators])
@@ -123,7 +123,7 @@ class LQGPolicy:
         return (command / self.velocity_limit).astype(np.float32), LQGState(x, np.ones(batch, bool))
 
 
-def lqg_from_gains(gains: Mapping[str, Any], velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT) -> LQGPolicy:
+def lqg_from_gains(gains: Mapping[str, Any], velocity_limit: Limit = VELOCITY_LIMIT) -> LQGPolicy:
     """An LQG from its design weights: each name of `AxisModel` as (horizontal, vertical), or one number for both."""
 
     def axis(k: int) -> LinearQuadraticGaussian:
@@ -133,6 +133,6 @@ def lqg_from_gains(gains: Mapping[str, Any], velocity_limit: float | tuple[float
     return LQGPolicy((horizontal, horizontal, vertical), velocity_limit)
 
 
-def lqg(velocity_limit: float | tuple[float, float, float] = VELOCITY_LIMIT) -> LQGPolicy:
+def lqg(velocity_limit: Limit = VELOCITY_LIMIT) -> LQGPolicy:
     """The LQG with weights found on training seeds by `aerograsp tune aerograsp/Dock-v0 --policy lqg`."""
     return lqg_from_gains(_tuned("lqg"), velocity_limit)
