@@ -12,7 +12,8 @@ COMMANDS = {
     "train": ("agents.train", "train a policy; resumable"),
     "eval": ("agents.evaluation", "evaluate policies on pinned episodes"),
     "play": ("agents.play", "film an episode as GIF or MP4"),
-    "tune": ("agents.tune", "find controller gains on validation seeds"),
+    "tune": ("agents.tune", "find controller gains on training seeds"),
+    "calibrate": ("agents.calibrate", "the sensors' noise against Table 5.3"),
     "reproduce": ("agents.reproduce", "a published table beside what this project measures"),
 }
 

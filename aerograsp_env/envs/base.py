@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from operator import itemgetter
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,20 +22,19 @@ from aerograsp_env.envs.options import (
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import CONTROL_STEP
 from aerograsp_env.sim.kernel import METRICS
+from aerograsp_env.sim.rendering import check_picture
 from aerograsp_env.sim.reset import check_options
 from aerograsp_env.sim.scene_look import CAMERAS
 from aerograsp_env.sim.worlds import Worlds
 
 Observation = dict[str, NDArray[np.float32]]
+METADATA = {"render_modes": available_render_modes(), "render_fps": round(1.0 / CONTROL_STEP)}
 
 
 class DockBase(gymnasium.Env):
     """One world of the docking scene; the tasks differ in where an episode begins and what its action may do."""
 
-    metadata: ClassVar[dict[str, Any]] = {
-        "render_modes": available_render_modes(),
-        "render_fps": round(1.0 / CONTROL_STEP),
-    }
+    metadata = METADATA
     attach = False
 
     def __init__(
@@ -51,6 +50,7 @@ class DockBase(gymnasium.Env):
     ) -> None:
         self.reward_mode = choose("reward_mode", reward_mode, REWARD_MODES)
         self.render_mode = check_render_mode(render_mode)
+        check_picture(width, height, render_backend, render_samples, prefix="render_")
         self._render_settings = (width, height, choose("camera", camera, CAMERAS), render_backend, render_samples)
         self.config = make_config(self.attach, options)
         self._worlds = Worlds(self.config, 1)
@@ -86,8 +86,7 @@ class DockBase(gymnasium.Env):
 
     @property
     def state(self) -> np.void:
-        """The simulator's record of this world (dtype `aerograsp_env.sim.layout.STATE`): the truth, for oracles and
-        tests."""
+        """The simulator's record of this world (`aerograsp_env.sim.layout.STATE`): the truth, for oracles and tests."""
         return self._worlds.states[0]
 
     def reset(
@@ -129,8 +128,7 @@ class DockBase(gymnasium.Env):
         }
 
     def render(self) -> NDArray[Any] | None:
-        """The scene as `render_mode` says; joints are coloured by their distance to saturation (green far, red at a
-        limit)."""
+        """The scene as `render_mode` says; joints are coloured from green (far from saturation) to red (at a limit)."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() was called, but the environment was made without render_mode")
             return None

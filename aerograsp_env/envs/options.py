@@ -47,8 +47,7 @@ def choose(name: str, value: Any, valid: Iterable[str]) -> str:
 
 
 def _instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = None) -> Any:
-    """A configuration value: an instance, one of the names that stand for one, or a mapping of changes to the
-    default."""
+    """A configuration value: an instance, a name that stands for one, or a mapping of changes to the default."""
     if isinstance(value, kind):
         return value
     if names is not None and isinstance(value, str):
@@ -70,8 +69,8 @@ def _number(name: str, value: Any) -> float:
 
 
 def _range(name: str, value: Any) -> tuple[float, float]:
-    pair = (value, value) if np.isscalar(value) else value
     try:
+        pair: Any = (value, value) if np.isscalar(value) else value
         low, high = (float(v) for v in pair)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or a pair (low, high) in seconds, got {value!r}") from None
@@ -141,9 +140,8 @@ def check_action(action: Any, shape: tuple[int, ...]) -> NDArray[Any]:
     """
     array = np.asarray(action)
     if array.dtype.kind not in "fiu":
-        raise ValueError(
-            f"action must be a numeric array of shape {shape}, got {type(action).__name__} of dtype {array.dtype}"
-        )
+        got = f"{type(action).__name__} of dtype {array.dtype}"
+        raise ValueError(f"action must be a numeric array of shape {shape}, got {got}")
     if array.shape != shape:
         raise ValueError(f"action must have shape {shape}, got {array.shape}")
     return array

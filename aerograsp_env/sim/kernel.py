@@ -168,8 +168,7 @@ def _rewards(p, s, distance, seat_distance, terms):
 
 @compiled
 def summarize(p, s, terms, metrics, flags):
-    """What depends on how the step ended: crash and sparse terms, the episode's figures so far, (success,
-    terminated)."""
+    """What depends on how the step ended: crash and sparse terms, the figures so far, (success, terminated)."""
     crashed = s.termination != lay.RUNNING
     terms[_CRASH] = -10.0 if crashed else 0.0
     count = max(s.error_count, 1)
@@ -200,8 +199,7 @@ def summarize(p, s, terms, metrics, flags):
 
 @compiled
 def observe(p, s, r, specific_force, seat_offset, out):
-    """Writes the flat observation row in the order of layout.DOCK_OBSERVATION (or ATTACH_OBSERVATION), clipped to its
-    bounds."""
+    """Writes the flat observation row in the order of layout.DOCK_OBSERVATION (or ATTACH_OBSERVATION), unclipped."""
     ch, sh = 1.0, 0.0
     if p.heading_frame == 1:
         h = math.atan2(r[1, 0], r[0, 0])
@@ -271,8 +269,8 @@ def _read(pointers, p, s, noise, bounds, out, specific_force, seat_offset, r, xm
 
 @compiled
 def step_worlds(
-    step_function, pointers, parameters, states, noise, cursors, active, actions, bounds, observations, terms, metrics,
-    flags, first, last,
+    step_function, pointers, parameters, states, noise, cursors, active, actions, bounds,
+    observations, terms, metrics, flags, first, last,
 ):  # fmt: skip
     """Advance those of the worlds first … last−1 that are `active` (N,) by one control step.
 

@@ -110,26 +110,26 @@ def autopilot(p, s, r, velocity_set_point, yaw_rate, thrusts):
     force = thrust_vector(p, s, velocity_set_point)
     rates = attitude_rates(p, s, r, force, yaw_rate)
     collective = max(force[0] * r[0, 2] + force[1] * r[1, 2] + force[2] * r[2, 2], 0.0)
-    roll, pitch, yaw = (
-        _wanted_torque(p, s, 0, rates[0]),
-        _wanted_torque(p, s, 1, rates[1]),
-        _wanted_torque(p, s, 2, rates[2]),
-    )
+    roll = _wanted_torque(p, s, 0, rates[0])
+    pitch = _wanted_torque(p, s, 1, rates[1])
+    yaw = _wanted_torque(p, s, 2, rates[2])
     mix(p, (collective, roll, pitch, yaw), thrusts)
 
 
 @compiled
 def ground_effect(height, radius):
-    """Thrust gain at `height` [m] over the floor for a rotor of `radius` [m]: 1 / (1 − (R/4z)²), held below half a
-    radius."""
+    """Thrust gain at `height` z over the floor for a rotor of `radius` R [m]: 1 / (1 − (R/4z)²), held below z = R/2."""
     ratio = radius / (4.0 * max(height, 0.5 * radius))
     return 1.0 / (1.0 - ratio * ratio)
 
 
 @compiled
 def rotors(p, s, r, position, velocity, thrusts, ctrl, wrench):
-    """Rotor lag and air: writes rotor thrusts into `ctrl` (6,) and drag force, torque about the centre of mass into
-    `wrench` (6,), world frame."""
+    """Rotor lag and air.
+
+    Writes rotor thrusts into `ctrl` (6,), and into `wrench` (6,) the drag force and its torque about the centre of mass,
+    world frame.
+    """
     vx, vy, vz = velocity[0] - s.wind[0], velocity[1] - s.wind[1], velocity[2] - s.wind[2]
     ax = r[0, 0] * vx + r[1, 0] * vy + r[2, 0] * vz  # velocity through the air, body frame
     ay = r[0, 1] * vx + r[1, 1] * vy + r[2, 1] * vz

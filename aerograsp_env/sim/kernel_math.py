@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic as numba_intrinsic
 
+intrinsic: Any = numba_intrinsic  # its stub counts the typing context among a caller's arguments
 # C's rules for division by zero (infinities, no exception): the checks cost more than the divisions
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 
 @intrinsic
 def call_with_two_pointers(typingctx, function, first, second):
-    """Call the C function at address `function` with two pointers, e.g. mj_step(m, d). The address is an argument, not
-    a global, so that the compiled code can be cached on disk."""
+    """Call the C function at address `function` with two pointers, e.g. mj_step(m, d).
+
+    The address is an argument, not a global, so that the compiled code can be cached on disk.
+    """
     del typingctx, function, first, second
 
     def codegen(context, builder, signature, args):

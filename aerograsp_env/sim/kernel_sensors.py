@@ -32,9 +32,8 @@ def blow(p, s):
 def slow_errors(p, s):
     """Present errors of the velocity, attitude and position estimates, from their processes' states."""
     for i in range(3):
-        s.velocity_error[i] = (
-            p.velocity_wander_limit[i] * bounded(s.velocity_wander[i]) + p.velocity_std * s.velocity_fast[i]
-        )
+        slow = p.velocity_wander_limit[i] * bounded(s.velocity_wander[i])
+        s.velocity_error[i] = slow + p.velocity_std * s.velocity_fast[i]
         s.attitude_error[i] = p.attitude_limit * bounded(s.attitude_wander[i])
 
 
@@ -67,21 +66,18 @@ def advance_slow(p, s, noise):
 
 @compiled
 def sample_joints(p, s, qpos, qvel, tick, noise, count):
-    """Potentiometer samples that fall into the physics tick just done; returns how many were taken so far in this
-    step."""
+    """Potentiometer samples that fall into the physics tick just done; returns how many this step has so far."""
     end = (tick + 1) * TIMESTEP
     period = SUBSTEPS * TIMESTEP / POTENTIOMETER_SAMPLES
     while count < POTENTIOMETER_SAMPLES and (count + 1) * period <= end + 1e-9:
         back = end - (count + 1) * period
         for j in range(5):
             a = p.joint_address[j]
-            angle = (
-                qpos[a] - back * qvel[a - 1] + s.potentiometer_offset[j] + p.potentiometer_std * noise[5 * count + j]
-            )
+            angle = qpos[a] - back * qvel[a - 1] + s.potentiometer_offset[j]
+            angle += p.potentiometer_std * noise[5 * count + j]
             angle = clip(angle, p.signal_limits[j, 0], p.signal_limits[j, 1])
-            s.joints[j] += (
-                p.potentiometer_quantum * math.floor(angle / p.potentiometer_quantum + 0.5) / POTENTIOMETER_SAMPLES
-            )
+            counts = math.floor(angle / p.potentiometer_quantum + 0.5)
+            s.joints[j] += p.potentiometer_quantum * counts / POTENTIOMETER_SAMPLES
         count += 1
     return count
 

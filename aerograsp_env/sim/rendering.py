@@ -31,7 +31,16 @@ from numpy.typing import NDArray
 from aerograsp_env.sim.cameras import Camera, FreeCamera, camera_id, open_model
 from aerograsp_env.sim.ray_renderer import RayRenderer
 
-__all__ = ["BACKENDS", "Camera", "FreeCamera", "GLRenderer", "RayRenderer", "Renderer", "make_renderer"]
+__all__ = [
+    "BACKENDS",
+    "Camera",
+    "FreeCamera",
+    "GLRenderer",
+    "RayRenderer",
+    "Renderer",
+    "check_picture",
+    "make_renderer",
+]
 
 BACKENDS = ("ray", "gl")
 
@@ -50,6 +59,17 @@ class Renderer(Protocol):
 
     def close(self) -> None:
         """Free what the renderer holds; a second call does nothing."""
+
+
+def check_picture(width: int, height: int, backend: str = "ray", samples: int = 1, prefix: str = "") -> None:
+    """Raises ValueError for an argument of `make_renderer` out of range; `prefix` goes before "backend" and "samples"."""
+    for name, value, high in (("width", width, 16384), ("height", height, 16384), (f"{prefix}samples", samples, 16)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= high:
+            raise ValueError(f"{name} must be an integer from 1 to {high}, got {value!r}")
+    if backend not in BACKENDS:
+        near = difflib.get_close_matches(str(backend), BACKENDS, 1, 0.0)[0]
+        expected = f"one of {', '.join(BACKENDS)} (did you mean {near!r}?)"
+        raise ValueError(f"{prefix}backend must be {expected}, got {backend!r}")
 
 
 def make_renderer(
@@ -73,18 +93,13 @@ def make_renderer(
     Raises:
         ValueError: an argument is out of range.
     """
-    for name, value, high in (("width", width, 16384), ("height", height, 16384), ("samples", samples, 16)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= high:
-            raise ValueError(f"{name} must be an integer from 1 to {high}, got {value!r}")
+    check_picture(width, height, backend, samples)
     if not all(group in range(mujoco.mjNGROUP) for group in groups):
         raise ValueError(f"groups must be integers from 0 to {mujoco.mjNGROUP - 1}, got {groups!r}")
     mask = np.isin(np.arange(mujoco.mjNGROUP), list(groups)).astype(np.uint8)
     if backend == "ray":
         return RayRenderer(model, int(width), int(height), int(samples), mask)
-    if backend == "gl":
-        return GLRenderer(model, int(width), int(height), mask)
-    near = difflib.get_close_matches(str(backend), BACKENDS, 1, 0.0)[0]
-    raise ValueError(f"backend must be one of {', '.join(BACKENDS)} (did you mean {near!r}?), got {backend!r}")
+    return GLRenderer(model, int(width), int(height), mask)
 
 
 class GLRenderer:

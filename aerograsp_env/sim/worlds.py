@@ -59,9 +59,8 @@ class Worlds:
         self._noise = np.zeros((n, lay.NOISE_BLOCK, lay.NOISE))
         self._cursors = np.zeros(n, np.int64)
         self._actions = np.zeros((n, self.action_size))
-        self._pointers = np.array(
-            [self._addresses(m, d) for m, d in zip(self.models, self.datas, strict=True)], np.int64
-        )
+        pairs = zip(self.models, self.datas, strict=True)
+        self._pointers = np.array([self._addresses(model, data) for model, data in pairs], np.int64)
         self._arguments = (
             mj_step_address(), self._pointers, self.parameters, self.states, self._noise, self._cursors,
             self.active, self._actions, self.bounds, self.observations, self.terms, self.metrics, self.flags,
@@ -75,16 +74,9 @@ class Worlds:
     @staticmethod
     def _addresses(model: mujoco.MjModel, data: mujoco.MjData) -> list[int]:
         arrays = (
-            data.qpos,
-            data.qvel,
-            data.qacc,
-            data.ctrl,
-            data.xfrc_applied,
-            data.qfrc_applied,
-            data.xmat,
-            data.xpos,
-            data.sensordata,
-        )
+            data.qpos, data.qvel, data.qacc, data.ctrl, data.xfrc_applied, data.qfrc_applied,
+            data.xmat, data.xpos, data.sensordata,
+        )  # fmt: skip
         return [model._address, data._address, *(a.ctypes.data for a in arrays)]
 
     def reset(self, index: int, rng: np.random.Generator, options: dict) -> None:
@@ -95,16 +87,9 @@ class Worlds:
         self.draw_noise(i, rng)
         self.terms[i], self.metrics[i], self.flags[i] = 0.0, 0.0, False
         kernel.read_worlds(
-            self._pointers,
-            self.parameters,
-            self.states,
-            self._noise,
-            self._cursors,
-            self.bounds,
-            self.observations,
-            i,
-            i + 1,
-        )
+            self._pointers, self.parameters, self.states, self._noise, self._cursors, self.bounds,
+            self.observations, i, i + 1,
+        )  # fmt: skip
 
     def draw_noise(self, index: int, rng: np.random.Generator) -> None:
         """A fresh block of noise for one world."""
