@@ -127,8 +127,8 @@ def ground_effect(height, radius):
 def rotors(p, s, r, position, velocity, thrusts, ctrl, wrench):
     """Rotor lag and air.
 
-    Writes rotor thrusts into `ctrl` (6,), and into `wrench` (6,) the drag force and its torque about the centre of mass,
-    world frame.
+    Writes rotor thrusts into `ctrl` (6,), and into `wrench` (6,) the drag force and its torque about the centre of
+    mass, world frame.
     """
     vx, vy, vz = velocity[0] - s.wind[0], velocity[1] - s.wind[1], velocity[2] - s.wind[2]
     ax = r[0, 0] * vx + r[1, 0] * vy + r[2, 0] * vz  # velocity through the air, body frame

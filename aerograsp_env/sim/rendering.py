@@ -62,7 +62,7 @@ class Renderer(Protocol):
 
 
 def check_picture(width: int, height: int, backend: str = "ray", samples: int = 1, prefix: str = "") -> None:
-    """Raises ValueError for an argument of `make_renderer` out of range; `prefix` goes before "backend" and "samples"."""
+    """Raise ValueError if an argument of `make_renderer` is out of range; `prefix` goes before "backend", "samples"."""
     for name, value, high in (("width", width, 16384), ("height", height, 16384), (f"{prefix}samples", samples, 16)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or not 1 <= value <= high:
             raise ValueError(f"{name} must be an integer from 1 to {high}, got {value!r}")
