@@ -265,7 +265,7 @@ def expected_terms(env, action_change: float, terminated: bool) -> dict[str, flo
     terms = {
         "position": work * 0.5 * tolerance(error, margin=0.20, sigmoid="linear"),
         "precision": work * 0.5 * tolerance(error, margin=0.02, sigmoid="long_tail"),
-        "effort": -0.05 * min(action_change, 4.0),
+        "effort": -0.2 * min(action_change, 4.0),
         "crash": -10.0 * terminated,
     }
     if attach:

@@ -43,7 +43,7 @@ class DockEnv(DockBase):
     | --- | --- |
     | position | 0.5 · tolerance(e, margin 0.20 m, linear) |
     | precision | 0.5 · tolerance(e, margin 0.02 m, long_tail) |
-    | effort | −0.05 · min(‖Δaction‖², 4) |
+    | effort | −0.2 · min(‖Δaction‖², 4) |
     | crash | −10 on termination |
 
     Sparse: `within`, 1 while every axis' true |error| ≤ 0.05 m.
@@ -105,7 +105,7 @@ class DockAttachEnv(DockBase):
     | position | 0.5 · tolerance(e, margin 0.20 m, linear), 0 before the coupling |
     | precision | 0.5 · tolerance(e, margin 0.02 m, long_tail), 0 before the coupling |
     | approach | 0.3 · tolerance(distance base–seat, margin 1 m, long_tail); 0.3 once coupled |
-    | effort | −0.05 · min(‖Δaction‖², 4) |
+    | effort | −0.2 · min(‖Δaction‖², 4) |
     | crash | −10 on termination |
 
     Sparse: `within`, 1 while coupled and every axis' true |error| ≤ 0.05 m.

@@ -163,7 +163,7 @@ def _rewards(p, s, distance, seat_distance, terms):
     for i in range(5):
         d = s.actions[0, i] - s.actions[1, i]
         change += d * d
-    terms[_EFFORT] = -0.05 * min(change, 4.0)
+    terms[_EFFORT] = -0.2 * min(change, 4.0)
 
 
 @compiled
