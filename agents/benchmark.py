@@ -1,36 +1,32 @@
 """`aerograsp bench`: policies on the same pinned episodes, as a table, JSON and an HTML report.
 
-Every finished row is kept in the output folder under a key of all that it depends on (policy, weights, settings,
-version, commit, sources), so an interrupted run goes on where it stopped.
+Finished rows are kept in the output folder (`agents.rows`), so an interrupted run goes on where it stopped.
 """
 
-import hashlib
-import importlib.util
 import json
 import re
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
-from agents.evaluation import EvaluationResult, evaluate
-from agents.files import to_json, writable_folder, write_atomic, write_json
+from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import (
     LEARNED,
     TRIVIAL,
     PolicyUnavailable,
     checkpoints,
     env_spec,
-    load_policy,
     registered_policies,
     spaces,
 )
 from agents.provenance import provenance
 from agents.report import write_report
+from agents.rows import RowStore, load_all
 from agents.seeds import TEST_SEED
-from agents.table import Published, Row, table_data, table_text
+from agents.table import Published, Row, best_row, table_data, table_text, with_pooled
 from agents.traces import Trace, trace
 
 DOCK = "aerograsp/Dock-v0"
@@ -49,6 +45,7 @@ QUICK_ROWS = (*TRIVIAL, "pid", "pid-tuned", "lqg", "ppo")
 QUICK_EPISODES, FULL_EPISODES = 10, 100
 QUICK_STEPS = 1000  # 20 s at 50 Hz
 TRACE_STEPS = 1000
+FILM_SECONDS, FILM_RATE, FILM_SIZE = 6.0, 10.0, {"width": 320, "height": 240}
 
 
 class BenchResult(NamedTuple):
@@ -112,30 +109,23 @@ def bench(
     }
     episodes = episodes if episodes is not None else QUICK_EPISODES if quick else FULL_EPISODES
     names = list(dict.fromkeys(policies or default_rows(env_id, quick)))
-    facts, sources = provenance(command), _sources()
+    facts = provenance(command)
     _, observation_space = spaces(env_id, kwargs)
     traceable = "position_error" in getattr(observation_space, "spaces", {})
-    loaded = [(name, _load(env_id, name, kwargs)) for name in names]
+    loaded = load_all(env_id, names, kwargs)
+    store = RowStore(folder, env_id, episodes, seed, facts, fresh, progress)
     rows: list[Row] = []
     traces: list[Trace] = []
-    for name, policy in loaded:
+    for name, policy in loaded.items():
         if isinstance(policy, PolicyUnavailable):
             rows.append(Row(name, note=f"not run: {policy}"))
             continue
-        settings = {"id": env_id, "policy": name, "episodes": episodes, "seed": seed, "env_kwargs": kwargs}
-        key = {**settings, "content": content_hash(env_id, name), "commit": facts["commit"], "sources": sources}
-        key["version"] = facts["versions"].get("aerograsp", "")
-        result, reused = stored(folder, key), True
-        if result is None or fresh:
-            measured = evaluate(env_id, policy, episodes, seed, kwargs, progress)
-            result, reused = replace(measured, policy=name), False
-            store(folder, key, result)
-        rows.append(Row.of(result))
-        if progress:
-            print(f"{name}: {'kept from an earlier run' if reused else 'done'}", file=sys.stderr)
+        rows.append(Row.of(store.row(name, policy, kwargs)))
         if traceable:
             steps = min(kwargs.get("max_episode_steps", TRACE_STEPS), TRACE_STEPS)
             traces.append(trace(env_id, policy, seed, {**kwargs, "max_episode_steps": steps}, name))
+    best = None if quick else best_row([row for row in rows if row.values])
+    film = None if best is None else film_of(env_id, best.policy, seed, kwargs, progress)
     rows = with_pooled(rows)
     published = PUBLISHED.get(env_id, ())
     settings = {
@@ -158,70 +148,26 @@ def bench(
         settings=settings,
         published=published,
         traces=traces,
+        film=film,
+        film_caption="" if best is None else f"{best.policy}, the first seconds of the first pinned episode",
     )
     return BenchResult(rows, folder, table)
 
 
-def with_pooled(rows: Sequence[Row]) -> list[Row]:
-    """The rows, and after the training seeds of one kind a row over all of them."""
-    pooled = list(rows)
-    for kind in LEARNED:
-        seeds = [row for row in rows if row.values and re.fullmatch(rf"{kind}-seed\d+", row.policy)]
-        if len(seeds) > 1:
-            note = f"each episode averaged over {len(seeds)} trainings"
-            pooled.insert(pooled.index(seeds[-1]) + 1, Row.pooled(f"{kind} ({len(seeds)} seeds)", seeds, note))
-    return pooled
+def film_of(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], progress: bool = False) -> bytes | None:
+    """A small GIF of a policy's first seconds; None where the id draws no pictures, or they cannot be drawn here."""
+    from agents.play import play
 
-
-def content_hash(env_id: str, name: str) -> str:
-    """Hash of the file that a policy's behaviour is read from, "" where the project's sources cover it."""
-    path = Path(name) if name.endswith(".safetensors") else checkpoints(env_id).get(name)
-    module = name.partition(":")[0]
-    if path is None and ":" in name:
-        found = importlib.util.find_spec(module)
-        path = Path(found.origin) if found is not None and found.origin else None
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path is not None and path.is_file() else ""
-
-
-def _load(env_id: str, name: str, env_kwargs: Mapping[str, Any]) -> Any:
-    try:
-        return load_policy(env_id, name, env_kwargs)
-    except PolicyUnavailable as error:
-        return error
-
-
-def _row_file(folder: Path, key: Mapping[str, Any]) -> Path:
-    name = str(key["policy"])
-    stem = re.sub(r"[^\w.-]+", "-", Path(name).stem if name.endswith(".safetensors") else name)
-    digest = hashlib.sha256(json.dumps(to_json(dict(key)), sort_keys=True).encode()).hexdigest()
-    return folder / "rows" / f"{stem}-{digest[:16]}.json"
-
-
-def stored(folder: Path, key: Mapping[str, Any]) -> EvaluationResult | None:
-    """The finished row of this key in the folder; None if there is none, or what is there is damaged."""
-    try:
-        return EvaluationResult.from_dict(json.loads(_row_file(folder, key).read_text())["result"])
-    except (FileNotFoundError, ValueError, KeyError, TypeError):
-        return None
-
-
-def store(folder: Path, key: Mapping[str, Any], result: EvaluationResult) -> None:
-    """Keep a finished row under its key."""
-    path = _row_file(folder, key)
-    path.parent.mkdir(exist_ok=True)
-    write_json(path, {"key": key, "result": result.to_dict()})
-
-
-def _sources() -> str:
-    """Hash of the project's sources, so that a row never outlives an uncommitted change."""
-    digest = hashlib.sha256()
-    root = Path(__file__).resolve().parents[1]
-    for package in ("aerograsp_env", "baselines", "agents"):
-        for path in sorted((root / package).rglob("*")):
-            if path.suffix in (".py", ".xml", ".npz", ".json") and path.is_file():
-                digest.update(path.relative_to(root).as_posix().encode())
-                digest.update(path.read_bytes())
-    return digest.hexdigest()
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "film.gif"
+        look = {**env_kwargs, **FILM_SIZE}
+        try:
+            play(env_id, policy, out, seconds=FILM_SECONDS, seed=seed, env_kwargs=look, fps=FILM_RATE)
+        except (ValueError, RuntimeError) as error:
+            if progress:
+                print(f"no film: {error}", file=sys.stderr)
+            return None
+        return out.read_bytes()
 
 
 def main(argv: list[str]) -> int:
@@ -230,10 +176,15 @@ def main(argv: list[str]) -> int:
         from agents.speed import main as speed_main
 
         return speed_main([argument for argument in argv if argument != "--speed"])
+    if "--robustness" in argv:
+        from agents.robustness import main as robustness_main
+
+        return robustness_main([argument for argument in argv if argument != "--robustness"])
     parser = Parser(prog="aerograsp bench", description="Compare policies on pinned episodes: table, JSON and report.")
     parser.add_argument("id", metavar="ID", nargs="?", default=DOCK, help="environment")
     parser.add_argument("--quick", action="store_true", help="few rows, ten episodes of 20 s")
     parser.add_argument("--speed", action="store_true", help="measure speed instead; --speed --help lists its options")
+    parser.add_argument("--robustness", action="store_true", help="conditions a policy was not made for, instead")
     add_policy(parser, default="every analytic and shipped policy, zero and random")
     add_episodes(parser, None)
     add_seed(parser, TEST_SEED)

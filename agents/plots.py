@@ -1,7 +1,7 @@
 """The report's figures, as PNG bytes on a transparent ground, drawn for a light or a dark page."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,6 +103,35 @@ def error_over_time(traces: Sequence["Trace"], dark: bool) -> bytes:
     axis.set_ylabel("|position error| [mm]")
     _grid(axis, "y", dark)
     figure.legend(ncols=len(traces), loc="upper right", frameon=False, labelcolor=_ink(dark), handlelength=1.2)
+    return _png(figure)
+
+
+def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool) -> bytes:
+    """Mean |error| with its interval, a group a condition and a colour a policy; hollow where over 1 % crashed."""
+    policies = [row.policy for row in next(iter(groups.values()))]
+    palette, step = colors(policies), 0.78 / max(len(policies), 1)
+    figure, axis = _figure(dark, len(groups) * (0.16 * len(policies) + 0.24) + 1.0)
+    for group, rows in enumerate(groups.values()):
+        if group % 2:
+            axis.axhspan(group - 0.5, group + 0.5, color=_ink(dark), alpha=0.05, lw=0)
+        for i, row in enumerate(rows):
+            estimate, crash = row.estimate("error"), row.estimate("crash")
+            if estimate is None:
+                continue
+            mean, (low, high) = 1e3 * estimate.mean, (1e3 * bound for bound in estimate.interval)
+            color = palette[row.policy]
+            face = "none" if crash is not None and crash.mean > 0.01 else color
+            axis.errorbar(
+                mean, group + step * (i - 0.5 * (len(rows) - 1)), xerr=[[mean - low], [high - mean]],
+                fmt="o", ms=5, mfc=face, color=color, lw=1.4, capsize=2.2,
+            )  # fmt: skip
+    axis.set_yticks(range(len(groups)), list(groups))
+    axis.set_ylim(len(groups) - 0.5, -0.5)
+    _log_axis(axis, "x")
+    axis.set_xlabel("mean |error| [mm]")
+    _grid(axis, "x", dark)
+    handles = [axis.plot([], [], "o", color=palette[policy], label=policy)[0] for policy in policies]
+    figure.legend(handles=handles, ncols=len(handles), loc="upper right", frameon=False, labelcolor=_ink(dark))
     return _png(figure)
 
 

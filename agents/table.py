@@ -1,5 +1,6 @@
 """Rows of a comparison, their summaries, and the table of them as text, Markdown or cells for HTML."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.evaluation import EvaluationResult
+from agents.policies import LEARNED
 from agents.statistics import Interval, bootstrap_interval, mean
 
 
@@ -94,6 +96,16 @@ def columns(rows: Sequence[Row]) -> list[Column]:
     return [_OTHERS, *known, *(Column(name, name, interval=True) for name in others)]
 
 
+def best_row(rows: Sequence[Row]) -> Row | None:
+    """The row of the lowest error, among those whose every episode defines one and at most 1 % of them crash.
+
+    An episode that crashes has its error over the time before only, which flatters a policy that crashes early.
+    """
+    safe = [row for row in rows if np.isfinite(row.values.get("error", np.array([np.nan]))).all()]
+    safe = [row for row in safe if np.mean(row.values.get("crash", np.zeros(1))) <= 0.01]
+    return min(safe, key=lambda row: float(np.mean(row.values["error"])), default=None)
+
+
 def cell(row: Row, column: Column) -> str:
     """What a table shows: mean, interval, and "(n)" where only n of the episodes define the value."""
     estimate = row.estimate(column.name)
@@ -111,6 +123,17 @@ def published_cell(row: Published, column: Column) -> str:
     if column.name not in row.values:
         return "—"
     return " ± ".join(f"{column.scale * value:.{column.digits}f}" for value in row.values[column.name])
+
+
+def with_pooled(rows: Sequence[Row]) -> list[Row]:
+    """The rows, and after the training seeds of one kind a row over all of them."""
+    pooled = list(rows)
+    for kind in LEARNED:
+        seeds = [row for row in rows if row.values and re.fullmatch(rf"{kind}-seed\d+", row.policy)]
+        if len(seeds) > 1:
+            note = f"each episode averaged over {len(seeds)} trainings"
+            pooled.insert(pooled.index(seeds[-1]) + 1, Row.pooled(f"{kind} ({len(seeds)} seeds)", seeds, note))
+    return pooled
 
 
 def caveats(rows: Sequence[Row]) -> list[str]:
@@ -138,10 +161,15 @@ def table_text(rows: Sequence[Row], markdown: bool = False, published: Sequence[
     notes += caveats(rows)
     if any(column.interval for column in shown):
         notes.insert(0, "Means over episodes, with 95 % bootstrap intervals in brackets.")
+    return aligned(lines, notes, markdown)
+
+
+def aligned(lines: Sequence[Sequence[str]], notes: Sequence[str], markdown: bool = False) -> str:
+    """Lines of cells, the head first, as text in columns or as a Markdown table; notes below."""
     if markdown:
-        lines = [[text.replace("|", "\\|") for text in line] for line in lines]
-        lines.insert(1, ["---", *["---:"] * (len(shown) + 1)])
-        return "\n".join(["| " + " | ".join(line) + " |" for line in lines] + [""] + [f"- {note}" for note in notes])
+        head, *body = [[text.replace("|", "\\|") for text in line] for line in lines]
+        rows = [head, ["---", *["---:"] * (len(head) - 1)], *body]
+        return "\n".join(["| " + " | ".join(line) + " |" for line in rows] + [""] + [f"- {note}" for note in notes])
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
     texts = [
         "  ".join(

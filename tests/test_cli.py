@@ -13,7 +13,7 @@ import pytest
 import toy_env
 from toy_env import TOY
 
-from agents import arguments, benchmark, cli
+from agents import arguments, benchmark, cli, rows
 from agents.benchmark import bench
 from agents.policies import PolicyUnavailable
 
@@ -153,7 +153,7 @@ def test_bench_writes_table_data_and_report(tmp_path: Path, capsys: pytest.Captu
 
 def test_bench_goes_on_where_it_was_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ran: list[str] = []
-    evaluate = benchmark.evaluate
+    evaluate = rows.evaluate
 
     def counting(env_id, policy, *args):
         if len(ran) == 1 and not interrupted:
@@ -163,7 +163,7 @@ def test_bench_goes_on_where_it_was_interrupted(tmp_path: Path, monkeypatch: pyt
         return evaluate(env_id, policy, *args)
 
     interrupted: list[bool] = []
-    monkeypatch.setattr(benchmark, "evaluate", counting)
+    monkeypatch.setattr(rows, "evaluate", counting)
     options: dict[str, Any] = {
         "env_id": TOY,
         "policies": ["p", "zero"],
@@ -190,10 +190,10 @@ def test_a_row_of_a_changed_factory_is_measured_again(tmp_path: Path, monkeypatc
     monkeypatch.syspath_prepend(tmp_path)
     source = tmp_path / "changing_policy.py"
     source.write_text("from toy_env import Proportional as make\n")
-    before = benchmark.content_hash(TOY, "changing_policy:make")
+    before = rows.content_hash(TOY, "changing_policy:make")
     source.write_text("from toy_env import Forgetful as make\n")
-    assert before != benchmark.content_hash(TOY, "changing_policy:make") != ""
-    assert benchmark.content_hash(TOY, "p") == ""
+    assert before != rows.content_hash(TOY, "changing_policy:make") != ""
+    assert rows.content_hash(TOY, "p") == ""
 
 
 def test_default_rows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.benchmark import with_pooled
 from agents.files import dumps, to_json, writable_folder, write_atomic
 from agents.provenance import provenance
 from agents.report import Published, Row, html_report, table_data, table_text, write_report
 from agents.statistics import bootstrap_interval, mean
+from agents.table import with_pooled
 from agents.traces import Trace
 
 VOID = {"meta", "img", "source"}
