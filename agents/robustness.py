@@ -107,7 +107,7 @@ def robustness(
     lines, notes = cells(rows), _notes(rows, CHANGES[env_id])
     write_atomic(folder / "robustness.md", aligned(lines, notes, markdown=True) + "\n")
     settings["conditions"] = ", ".join(conditions)
-    title = f"{env_id}: conditions that no policy was made for"
+    title = f"{env_id}: policies under other conditions"
     parts = [*section(rows, CHANGES[env_id]), "<h2>How it was measured</h2>", page.facts({**settings, **facts})]
     write_atomic(folder / "robustness.html", page.page(title, parts))
     return Robustness(rows, folder, aligned(lines, notes))
@@ -143,7 +143,7 @@ def _notes(rows: Mapping[str, Sequence[Row]], changes: Mapping[str, Mapping[str,
     notes = ["Mean |error| per axis over episodes [mm], 95 % bootstrap intervals in brackets; crash rates where any."]
     notes += caveats([row for of in rows.values() for row in of])
     for name, change in changes.items():
-        shown = ", ".join(f"{option} {value}" for option, value in change.items())
+        shown = " ".join(f"{option}={json.dumps(value)}" for option, value in change.items())  # as --env-kwarg takes it
         notes.append(f"{name}: {shown or 'as in the ordinary comparison'}")
     first = next(iter(rows.values()))
     return notes + [f"{row.policy}: {row.note}" for row in first if row.note]

@@ -41,7 +41,7 @@ def test_policies_meet_every_condition_on_the_same_episodes(tmp_path: Path, caps
     assert head == "| policy | trained | noisy | quiet |"
     assert first.startswith("| p | ") and first.count("[") == 3
     report = (tmp_path / "robustness.html").read_text()
-    assert "noise 0.3" in report and report.count('<td class="best">') == 3 and report.count("data:image/png") == 2
+    assert "noise=0.3" in report and report.count('<td class="best">') == 3 and report.count("data:image/png") == 2
 
 
 def test_rows_that_are_there_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
