@@ -39,6 +39,8 @@ def build(config: TrainConfig, env: SB3VecEnv) -> tuple[PPO, VecNormalize]:
         vf_coef=config.value_weight,
         max_grad_norm=config.max_grad_norm,
         target_kl=config.target_kl,
+        use_sde=config.sde_hold > 0,
+        sde_sample_freq=config.sde_hold or -1,
         policy_kwargs={
             "net_arch": {"pi": list(config.hidden), "vf": list(config.hidden)},
             "activation_fn": {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}[config.activation],
@@ -60,6 +62,8 @@ def actor_tensors(model: PPO, env: VecNormalize) -> dict[str, NDArray]:
         for name, parameter in _parameters(model).items()
         if not name.startswith("critic.")
     }
+    if model.use_sde:  # its deviation depends on the state; alone, the actor gets that of hidden units of mean square ½
+        tensors["log_std"] = 0.5 * np.log(0.5 * np.exp(2.0 * tensors["log_std"]).sum(axis=0))
     statistics: Any = env.obs_rms
     return tensors | {f"observation.{key}": getattr(statistics, key).astype(np.float32) for key in ("mean", "var")}
 

@@ -47,6 +47,9 @@ class TrainConfig:
     hidden: tuple[int, ...] = _option((64, 64), "widths of the hidden layers, of actor and critic each")
     activation: str = _option("tanh", " or ".join(ACTIVATIONS))
     log_std: float = _option(-1.0, "initial log standard deviation of the action")
+    sde_hold: int = _option(
+        0, "steps that exploration by a random function of the state (gSDE, Raffin et al. 2021) is held; 0: white noise"
+    )
     learning_rate: float = _option(3e-4, "Adam's, at the start")
     final_learning_rate: float = _option(0.0, "at the end; linear in between")
     n_steps: int = _option(128, "steps a world and rollout")
@@ -79,7 +82,7 @@ class TrainConfig:
         at_least = {
             1: ("steps", "num_envs", "n_steps", "epochs", "checkpoint_every", "eval_every", "threads"),
             2: ("batch_size",),  # advantages are normalised within a minibatch
-            0: ("seed", "eval_episodes"),
+            0: ("seed", "eval_episodes", "sde_hold"),
         }
         for minimum, names in at_least.items():
             for name in names:
