@@ -19,7 +19,7 @@ from aerograsp_env.envs.base import make_config
 from aerograsp_env.envs.options import REWARD_MODES, check_action, choose
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import CONTROL_STEP
-from aerograsp_env.sim.kernel import METRICS
+from aerograsp_env.sim.kernel_task import METRICS
 from aerograsp_env.sim.reset import check_options
 from aerograsp_env.sim.worlds import Worlds
 

@@ -21,7 +21,7 @@ from aerograsp_env.envs.options import (
 )
 from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import CONTROL_STEP
-from aerograsp_env.sim.kernel import METRICS
+from aerograsp_env.sim.kernel_task import METRICS
 from aerograsp_env.sim.rendering import check_picture
 from aerograsp_env.sim.reset import check_options
 from aerograsp_env.sim.scene_look import CAMERAS

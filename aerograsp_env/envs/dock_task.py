@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium import spaces
 
 from aerograsp_env.sim.config import DockConfig
-from aerograsp_env.sim.kernel import TERMS
+from aerograsp_env.sim.kernel_task import TERMS
 
 # the other metrics only once errors count, after the first seconds
 ALWAYS_REPORTED = ("effort", "crash", "clamp_force_max")

@@ -19,7 +19,7 @@ OBSERVED_ACTIONS = 6
 POTENTIOMETER_SAMPLES = 24  # 1200 Hz at 50 Hz control
 GYRO_NOISE = 3 * SUBSTEPS
 POTENTIOMETER_NOISE = 5 * POTENTIOMETER_SAMPLES
-SLOW_NOISE = 28  # one standard normal per slow process and control step, see kernel.advance_slow
+SLOW_NOISE = 28  # one standard normal per slow process and control step, see kernel_sensors.advance_slow
 NOISE = SLOW_NOISE + GYRO_NOISE + POTENTIOMETER_NOISE
 NOISE_BLOCK = 50  # control steps drawn at once
 

@@ -17,6 +17,7 @@ from aerograsp_env.sim import layout as lay
 from aerograsp_env.sim.config import DockConfig
 from aerograsp_env.sim.coupling import clamp
 from aerograsp_env.sim.kernel_math import all_finite
+from aerograsp_env.sim.kernel_task import METRICS, TERMS, summarize
 from aerograsp_env.sim.reset import reset_world
 from aerograsp_env.sim.scene import build_model
 
@@ -52,8 +53,8 @@ class Worlds:
         self.states = np.zeros(n, lay.STATE)
         self.bounds = np.concatenate([np.full(size, bound) for _, size, bound in self.layout])
         self.observations = np.zeros((n, len(self.bounds)), np.float32)
-        self.terms = np.zeros((n, len(kernel.TERMS)))
-        self.metrics = np.zeros((n, len(kernel.METRICS)))
+        self.terms = np.zeros((n, len(TERMS)))
+        self.metrics = np.zeros((n, len(METRICS)))
         self.flags = np.zeros((n, 2), np.bool_)
         self.active = np.ones(n, np.bool_)  # worlds that `step` advances
         self._noise = np.zeros((n, lay.NOISE_BLOCK, lay.NOISE))
@@ -114,7 +115,7 @@ class Worlds:
         for i, data in enumerate(self.datas):  # contacts are rare: the count is read outside the compiled loop
             if data.ncon and self.active[i] and not self.flags[i, 1]:
                 self.states["termination"][i] = lay.COLLISION
-                kernel.summarize(self.parameters[i], self.states[i], self.terms[i], self.metrics[i], self.flags[i])
+                summarize(self.parameters[i], self.states[i], self.terms[i], self.metrics[i], self.flags[i])
         if self.config.attach:
             closing = (self.states["coupled"] | self.states["wants_coupling"]) != 0
             for i in np.flatnonzero(self.active & closing).tolist():

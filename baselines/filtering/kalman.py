@@ -31,7 +31,7 @@ def time_step(dt: float) -> float:
 
 
 class _KalmanFilter:
-    """What the two share: construction, the first belief, and the innovation gate.
+    """What the two share: the first belief, prediction and update around filterpy's, and the innovation gate.
 
     Args:
         model: the model to filter with.
@@ -50,6 +50,39 @@ class _KalmanFilter:
     def initial(self, mean: ArrayLike, covariance: ArrayLike) -> Belief:
         """The belief to start from: mean (n,), covariance (n, n)."""
         return Belief(np.asarray(mean), np.asarray(covariance))
+
+    def predict(self, belief: Belief, dt: float, u: Any = None) -> Belief:
+        """The belief dt seconds [s] later, under the model's input u.
+
+        Raises:
+            ValueError: dt is negative or not finite, or the model returns something of a wrong shape or not finite.
+        """
+        dt = time_step(dt)
+        kf = self._load(belief)
+        kf.Q = self.model.Q(dt, belief.mean.size)
+        self._predict(kf, dt, u)
+        return Belief(kf.x, kf.P)
+
+    def update(self, belief: Belief, z: ArrayLike) -> Belief:
+        """The belief given the measurement z (m,); its `innovation` tells what came of it.
+
+        Raises:
+            ValueError: z has another shape or is not finite.
+        """
+        z = vector(np.atleast_1d(z), "z", self.model.measurement_size)
+        kf = self._load(belief)
+        self._update(kf, z)
+        return self._result(belief, kf)
+
+    def _load(self, belief: Belief) -> Any:
+        """filterpy's filter with this belief in it, for one call."""
+        raise NotImplementedError
+
+    def _predict(self, kf: Any, dt: float, u: Any) -> None:
+        raise NotImplementedError
+
+    def _update(self, kf: Any, z: Array) -> None:
+        raise NotImplementedError
 
     def _result(self, belief: Belief, kf: Any) -> Belief:
         distance = float(kf.mahalanobis) ** 2
@@ -75,30 +108,13 @@ class ExtendedKalmanFilter(_KalmanFilter):
     The thesis smooths the docking tool's pose with one (section 5.4.2).
     """
 
-    def predict(self, belief: Belief, dt: float, u: Any = None) -> Belief:
-        """The belief dt seconds [s] later, under the model's input u.
-
-        Raises:
-            ValueError: dt is negative or not finite, or the model returns something of a wrong shape or not finite.
-        """
-        dt = time_step(dt)
-        kf = self._load(belief)
-        kf.next_x = self.model.f(belief.mean, u, dt)
-        kf.F = self.model.F(belief.mean, u, dt)
-        kf.Q = self.model.Q(dt, belief.mean.size)
+    def _predict(self, kf: _FilterpyEKF, dt: float, u: Any) -> None:
+        kf.next_x = self.model.f(kf.x, u, dt)
+        kf.F = self.model.F(kf.x, u, dt)
         kf.predict()
-        return Belief(kf.x, kf.P)
 
-    def update(self, belief: Belief, z: ArrayLike) -> Belief:
-        """The belief given the measurement z (m,); its `innovation` tells what came of it.
-
-        Raises:
-            ValueError: z has another shape or is not finite.
-        """
-        z = vector(np.atleast_1d(z), "z", self.model.measurement_size)
-        kf = self._load(belief)
+    def _update(self, kf: _FilterpyEKF, z: Array) -> None:
         kf.update(z, self.model.H, self.model.h, residual=self.model.residual)
-        return self._result(belief, kf)
 
     def _load(self, belief: Belief) -> _FilterpyEKF:
         kf = _FilterpyEKF(belief.mean.size, self.model.measurement_size)
@@ -124,29 +140,12 @@ class UnscentedKalmanFilter(_KalmanFilter):
             raise ValueError(f"alpha, beta, kappa: expected finite numbers, alpha > 0, got {alpha}, {beta}, {kappa}")
         self.alpha, self.beta, self.kappa = alpha, beta, kappa
 
-    def predict(self, belief: Belief, dt: float, u: Any = None) -> Belief:
-        """The belief dt seconds [s] later, under the model's input u.
-
-        Raises:
-            ValueError: dt is negative or not finite, or the model returns something of a wrong shape or not finite.
-        """
-        dt = time_step(dt)
-        kf = self._load(belief)
-        kf.Q = self.model.Q(dt, belief.mean.size)
+    def _predict(self, kf: filterpy.kalman.UnscentedKalmanFilter, dt: float, u: Any) -> None:
         kf.predict(dt, fx=lambda x, dt: self.model.f(x, u, dt))
-        return Belief(kf.x, kf.P)
 
-    def update(self, belief: Belief, z: ArrayLike) -> Belief:
-        """The belief given the measurement z (m,); its `innovation` tells what came of it.
-
-        Raises:
-            ValueError: z has another shape or is not finite.
-        """
-        z = vector(np.atleast_1d(z), "z", self.model.measurement_size)
-        kf = self._load(belief)
+    def _update(self, kf: filterpy.kalman.UnscentedKalmanFilter, z: Array) -> None:
         kf.sigmas_f = kf.points_fn.sigma_points(kf.x, kf.P)
         kf.update(z)
-        return self._result(belief, kf)
 
     def _load(self, belief: Belief) -> filterpy.kalman.UnscentedKalmanFilter:
         size = belief.mean.size
