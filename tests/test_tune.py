@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from agents import tune
+from agents import tune, tuning
 from agents.arguments import guarded
 from agents.search import Search
 from agents.seeds import TRAIN_SEEDS, VALIDATION_SEEDS
@@ -44,20 +44,20 @@ def test_search_refuses_bad_bounds(bounds):
 
 
 def test_cost_counts_error_crashes_and_effort():
-    flight = tune.Flight(np.full((2, 3), 0.01), np.full((2, 3), 0.1), np.array([False, True]))
-    expected = 0.5 * (0.01 + tune.CRASH_COST) + tune.EFFORT_WEIGHT * 0.1
+    flight = tuning.Flight(np.full((2, 3), 0.01), np.full((2, 3), 0.1), np.array([False, True]))
+    expected = 0.5 * (0.01 + tuning.CRASH_COST) + tuning.EFFORT_WEIGHT * 0.1
     np.testing.assert_allclose(flight.cost(), [expected, expected])
-    axes = tune.Flight(np.array([[0.01, 0.03, 0.05]]), np.zeros((1, 3)), np.array([False]))
+    axes = tuning.Flight(np.array([[0.01, 0.03, 0.05]]), np.zeros((1, 3)), np.array([False]))
     np.testing.assert_allclose(axes.cost(), [0.02, 0.05])
 
 
 def settings(**changes):
-    return tune.Settings(ID, "pid-tuned", episodes=2, seconds=6.0, iterations=2, population=4, **changes)
+    return tuning.Settings(ID, "pid-tuned", episodes=2, seconds=6.0, iterations=2, population=4, **changes)
 
 
 def test_an_interrupted_search_goes_on_and_ends_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(tune, "VALIDATION_EPISODES", 2)
-    whole = tune.tune(settings(), tmp_path / "whole.json")
+    monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 2)
+    whole = tuning.tune(settings(), tmp_path / "whole.json")
     tell, calls = Search.tell, []
 
     def interrupted(self, *args):
@@ -68,20 +68,20 @@ def test_an_interrupted_search_goes_on_and_ends_the_same(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Search, "tell", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        tune.tune(settings(), tmp_path / "state.json")
+        tuning.tune(settings(), tmp_path / "state.json")
     monkeypatch.setattr(Search, "tell", tell)
     assert json.loads((tmp_path / "state.json").read_text())["generation"] == 1
-    again = tune.tune(settings(), tmp_path / "state.json")
+    again = tuning.tune(settings(), tmp_path / "state.json")
     assert again["found"] == whole["found"] and again["gains"] == whole["gains"] and again["curve"] == whole["curve"]
     with pytest.raises(ValueError, match="other settings"):
-        tune.tune(settings(seed=3_100_000), tmp_path / "state.json")
+        tuning.tune(settings(seed=3_100_000), tmp_path / "state.json")
     low, high = whole["training_seeds"]
     assert low in TRAIN_SEEDS and high in TRAIN_SEEDS
     assert all(seed in VALIDATION_SEEDS for seed in whole["validation_seeds"])
 
 
 def test_command_merges_its_entry_into_the_file(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(tune, "VALIDATION_EPISODES", 2)
+    monkeypatch.setattr(tuning, "VALIDATION_EPISODES", 2)
     out = tmp_path / "gains.json"
     out.write_text('{"other": {"gains": {}}}')
     options = ["--episodes", "2", "--seconds", "6", "--iterations", "1", "--population", "4", "--out", str(out)]
@@ -91,7 +91,7 @@ def test_command_merges_its_entry_into_the_file(tmp_path, monkeypatch, capsys):
     entry = data["lqg"]
     assert entry["settings"]["env_kwargs"]["wind"] == "gusty" and entry["provenance"]["commit"]
     assert {"error", "effort", "crash", "cost"} == set(entry["before"]) == set(entry["after"])
-    tune.TUNABLE[ID]["lqg"].make(entry["gains"])
+    tuning.TUNABLE[ID]["lqg"].make(entry["gains"])
     printed = capsys.readouterr().out
     assert "before" in printed and "after" in printed and str(out) in printed
     assert [file.name for file in tmp_path.iterdir()] == ["gains.json"]  # the state is gone
