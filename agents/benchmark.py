@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import gymnasium
+
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
 from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import (
@@ -158,6 +160,11 @@ def film_of(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], 
     """A small GIF of a policy's first seconds; None where the id draws no pictures, or they cannot be drawn here."""
     from agents.play import play
 
+    env = gymnasium.make(env_id, disable_env_checker=True, **env_kwargs)
+    drawn = "rgb_array" in env.metadata.get("render_modes", ())
+    env.close()
+    if not drawn:
+        return None
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "film.gif"
         look = {**env_kwargs, **FILM_SIZE}
