@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium
 
@@ -30,6 +30,9 @@ from agents.rows import RowStore, load_all
 from agents.seeds import TEST_SEED
 from agents.table import Published, Row, best_row, table_data, table_text, with_pooled
 from agents.traces import Trace, trace
+
+if TYPE_CHECKING:
+    from agents.robustness import Robustness
 
 DOCK = "aerograsp/Dock-v0"
 CONDITIONS: dict[str, dict[str, Any]] = {DOCK: {"wind": "gusty", "command_delay": (0.06, 0.1)}}
@@ -60,6 +63,10 @@ class BenchResult(NamedTuple):
     @property
     def report(self) -> Path:
         return self.folder / "report.html"
+
+    @property
+    def data(self) -> Path:
+        return self.folder / "results.json"
 
 
 def default_rows(env_id: str, quick: bool) -> list[str]:
@@ -183,15 +190,15 @@ def main(argv: list[str]) -> int:
         from agents.speed import main as speed_main
 
         return speed_main([argument for argument in argv if argument != "--speed"])
-    if "--robustness" in argv:
-        from agents.robustness import main as robustness_main
-
-        return robustness_main([argument for argument in argv if argument != "--robustness"])
     parser = Parser(prog="aerograsp bench", description="Compare policies on pinned episodes: table, JSON and report.")
     parser.add_argument("id", metavar="ID", nargs="?", default=DOCK, help="environment")
     parser.add_argument("--quick", action="store_true", help="few rows, ten episodes of 20 s")
     parser.add_argument("--speed", action="store_true", help="measure speed instead; --speed --help lists its options")
-    parser.add_argument("--robustness", action="store_true", help="conditions a policy was not made for, instead")
+    parser.add_argument(
+        "--robustness",
+        action="store_true",
+        help="delays, masses, winds and vehicles that no policy was made for, 40 episodes each, instead",
+    )
     add_policy(parser, default="every analytic and shipped policy, zero and random")
     add_episodes(parser, None)
     add_seed(parser, TEST_SEED)
@@ -200,21 +207,21 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--fresh", action="store_true", help="measure rows again that the folder holds already")
     add_json(parser)
     args = parser.parse_args(argv)
-    result = bench(
-        args.id,
-        args.policies,
-        args.episodes,
-        args.seed,
-        args.env_kwargs,
-        args.out,
-        args.quick,
-        args.fresh,
-        command=" ".join(["aerograsp", "bench", *argv]),
-    )
+    if args.quick and args.robustness:
+        parser.error("--quick and --robustness do not go together")
+    command = " ".join(["aerograsp", "bench", *argv])
+    shared = (args.id, args.policies, args.episodes, args.seed, args.env_kwargs, args.out)
+    result: BenchResult | Robustness
+    if args.robustness:
+        from agents.robustness import robustness
+
+        result = robustness(*shared, fresh=args.fresh, command=command)
+    else:
+        result = bench(*shared, quick=args.quick, fresh=args.fresh, command=command)
     if args.json != "-":
         print(f"{result.table}\n\nreport: {result.report.resolve()}")
     if args.json:
-        write_json(args.json, json.loads((result.folder / "results.json").read_text()))
+        write_json(args.json, json.loads(result.data.read_text()))
     return 0
 
 

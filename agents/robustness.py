@@ -5,13 +5,11 @@ One table, policies by conditions: mean |error| with its interval, and the crash
 
 import json
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents import page
-from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
 from agents.benchmark import CONDITIONS, DOCK
 from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import LEARNED, PolicyUnavailable, UnknownName, checkpoints, env_spec, registered_policies, spaces
@@ -49,6 +47,10 @@ class Robustness(NamedTuple):
     def report(self) -> Path:
         return self.folder / "robustness.html"
 
+    @property
+    def data(self) -> Path:
+        return self.folder / "robustness.json"
+
 
 def default_rows(env_id: str) -> list[str]:
     """The analytic policies, and every training seed that is shipped."""
@@ -59,7 +61,7 @@ def default_rows(env_id: str) -> list[str]:
 def robustness(
     env_id: str = DOCK,
     policies: Sequence[str] | None = None,
-    episodes: int = EPISODES,
+    episodes: int | None = None,
     seed: int = TEST_SEED,
     env_kwargs: Mapping[str, Any] | None = None,
     out_dir: str | Path = "runs/bench",
@@ -72,7 +74,7 @@ def robustness(
     Args:
         env_id: an id of `CHANGES`.
         policies: names for `load_policy`; by default `default_rows`. Training seeds of one kind become one row.
-        episodes: per policy and condition, the same ones everywhere.
+        episodes: per policy and condition, the same ones everywhere; 40.
         seed: of episode 0.
         env_kwargs: options of the environment that hold in all conditions, unless a condition changes them.
         out_dir: made if need be; rows that it holds already are not measured again.
@@ -85,6 +87,7 @@ def robustness(
         OSError: the folder cannot be written.
     """
     env_spec(env_id)
+    episodes = EPISODES if episodes is None else episodes
     if env_id not in CHANGES:
         raise UnknownName("id with robustness conditions", env_id, CHANGES)
     folder, facts = writable_folder(out_dir), provenance(command)
@@ -166,33 +169,3 @@ def section(rows: Mapping[str, Sequence[Row]], changes: Mapping[str, Mapping[str
         alt = "Mean error of every policy under every condition."
         parts.append(page.figure(lambda dark: plots.grouped_intervals(rows, dark), alt, caption))
     return parts
-
-
-def main(argv: list[str]) -> int:
-    """`aerograsp bench --robustness`."""
-    parser = Parser(
-        prog="aerograsp bench --robustness",
-        description="Compare policies under delays, masses, winds and vehicles that they were not made for.",
-    )
-    parser.add_argument("id", metavar="ID", nargs="?", default=DOCK, help="environment")
-    add_policy(parser, default="every analytic policy and shipped training")
-    add_episodes(parser, EPISODES)
-    add_seed(parser, TEST_SEED)
-    add_env_kwargs(parser)
-    parser.add_argument("--out", metavar="FOLDER", default="runs/bench", help="folder of the results")
-    parser.add_argument("--fresh", action="store_true", help="measure rows again that the folder holds already")
-    add_json(parser)
-    args = parser.parse_args(argv)
-    command = " ".join(["aerograsp", "bench", "--robustness", *argv])
-    result = robustness(
-        args.id, args.policies, args.episodes, args.seed, args.env_kwargs, args.out, args.fresh, command=command
-    )
-    if args.json != "-":
-        print(f"{result.table}\n\nreport: {result.report.resolve()}")
-    if args.json:
-        write_json(args.json, json.loads((result.folder / "robustness.json").read_text()))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(guarded("aerograsp bench --robustness", main, sys.argv[1:]))

@@ -92,6 +92,7 @@ def test_every_shipped_condition_is_one_that_its_environment_takes() -> None:
         ([f"{TOY}Single"], "unknown id"),
         ([TOY, "--policy", "pp"], "did you mean 'p'"),
         ([TOY, "--episodes", "0"], "at least 1"),
+        ([TOY, "--quick"], "--robustness"),
         ([TOY, "--env-kwarg", "nois=1"], "noise"),
     ],
 )
