@@ -3,6 +3,7 @@
 filterpy's filters are mutable objects; here one lives for one call, which costs little and leaves no hidden state.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
@@ -30,7 +31,7 @@ def time_step(dt: float) -> float:
     return dt
 
 
-class _KalmanFilter:
+class _KalmanFilter(ABC):
     """What the two share: the first belief, prediction and update around filterpy's, and the innovation gate.
 
     Args:
@@ -74,15 +75,17 @@ class _KalmanFilter:
         self._update(kf, z)
         return self._result(belief, kf)
 
+    @abstractmethod
     def _load(self, belief: Belief) -> Any:
         """filterpy's filter with this belief in it, for one call."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _predict(self, kf: Any, dt: float, u: Any) -> None:
-        raise NotImplementedError
+        """Move it on by dt [s] under the model's input u."""
 
+    @abstractmethod
     def _update(self, kf: Any, z: Array) -> None:
-        raise NotImplementedError
+        """Take in the measurement z (m,)."""
 
     def _result(self, belief: Belief, kf: Any) -> Belief:
         distance = float(kf.mahalanobis) ** 2
