@@ -4,9 +4,9 @@ The noise of the three position sources and of the velocity estimate is *calibra
 once, on seeds of its own, so that a hover under the thesis's PID has the errors of the thesis's Table 5.3. The other
 figures are typical of the parts named.
 
-The published figures leave one choice: docked, the vehicle strayed more than with vision, although the tool itself is good to
-millimetres on its test bench (figure 5.19). Here the autopilot's velocity estimate wanders more beside the steel structure
-(`SensorConfig.dock.velocity_limit`), which a better controller can reject; a larger error of the tool could not be.
+The published figures leave one choice: docked, the vehicle strayed more than with vision, although potentiometers and
+lengths like the tool's resolve millimetres. Here the autopilot's velocity estimate wanders more beside the steel
+structure (`SensorConfig.dock.velocity_limit`): a better controller can reject that; a tool that errs it could not.
 
 A bounded wandering error appears in several places: an Ornstein–Uhlenbeck process x (unit variance, time constant τ)
 passed through the normal distribution function, limit · (2Φ(x) − 1). It is stationary, uniform on ± limit and never
