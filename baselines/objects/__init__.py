@@ -1,0 +1,42 @@
+"""Object models: what an object's surface is, and how sure one can be of it.
+
+`GPIS` is a Gaussian process over an implicit function, made of a kernel and a prior shape::
+
+    model = GPIS(SquaredExponential(length_scale=0.05), Ellipsoid((0.04, 0.03, 0.06)), noise=1e-3)
+    model.fit(points, normals)
+    mean, gradient, variance = model.predict(x, gradient=True, variance=True)
+"""
+
+from baselines.objects.gpis import GPIS, Prediction
+from baselines.objects.kernels import Brownian, Kernel, Matern52, Periodic, SquaredExponential, ThinPlate
+from baselines.objects.priors import (
+    Constant,
+    Cylinder,
+    Ellipsoid,
+    FinitePlane,
+    Plane,
+    Posed,
+    Prior,
+    SmoothUnion,
+    Sphere,
+)
+
+__all__ = [
+    "GPIS",
+    "Brownian",
+    "Constant",
+    "Cylinder",
+    "Ellipsoid",
+    "FinitePlane",
+    "Kernel",
+    "Matern52",
+    "Periodic",
+    "Plane",
+    "Posed",
+    "Prediction",
+    "Prior",
+    "SmoothUnion",
+    "Sphere",
+    "SquaredExponential",
+    "ThinPlate",
+]

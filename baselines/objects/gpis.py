@@ -1,0 +1,202 @@
+"""Gaussian-process implicit surfaces: a surface {f = 0} with its uncertainty, from points and normals on it.
+
+Observations are f(x_i) = 0 and, with normals, ∂f(x_i) = n_i (f < 0 inside, normals outward). With N points in D
+dimensions the Gram matrix is N × N, or N(1 + D) square with normals: first all values, then the gradients point by
+point.
+
+Sources: Williams & Fitzgibbon 2007, "Gaussian process implicit surfaces"; Rasmussen & Williams 2006, Alg. 2.1 and
+section 9.4 (derivative observations); Dragiev, Toussaint & Gienger 2011 (normals).
+"""
+
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import solve_triangular
+
+from baselines.objects.kernels import Kernel
+from baselines.objects.linear_algebra import Array, Factor, checked_variance, factorise
+from baselines.objects.observations import Observations, check_observations, check_points
+from baselines.objects.priors import Constant, Prior
+
+CHUNK_ENTRIES = 2**20
+"""Entries of the largest block of cross-covariance held at a time in `predict` (8 MB in float64)."""
+
+
+class Prediction(NamedTuple):
+    """What the process says at M points."""
+
+    mean: Array  # (M,)
+    gradient: Array | None  # (M, D), of the mean; None unless asked for
+    variance: Array | None  # (M,), of f without noise; None unless asked for
+
+
+class _Fit(NamedTuple):
+    observations: Observations
+    factor: Factor
+    residual: Array  # (n,) targets less the prior mean
+    weights: Array  # (n,) K_y⁻¹ residual
+
+
+class GPIS:
+    """A Gaussian process over an implicit function, with a geometric prior mean.
+
+    Args:
+        kernel: covariance of f less its prior mean; with normals or gradients a differentiable one.
+        prior: mean function; None is zero everywhere.
+        noise: standard deviation of the observed values, ≥ 0.
+        normal_noise: standard deviation of each component of the observed normals, ≥ 0.
+
+    Attributes:
+        jitter: what was added to the diagonal of the Gram matrix for its Cholesky factor to exist; 0.0 when nothing.
+        condition: estimate of the Gram matrix's condition number in the 1-norm.
+
+    Raises:
+        ValueError: a noise is negative or not finite, or kernel and prior are for different dimensions.
+    """
+
+    def __init__(
+        self, kernel: Kernel, prior: Prior | None = None, noise: float = 1e-2, normal_noise: float = 5e-2
+    ) -> None:
+        self.kernel = kernel
+        self.prior: Prior = Constant(0.0) if prior is None else prior
+        dimensions = {d for d in (kernel.dimension, self.prior.dimension) if d is not None}
+        if len(dimensions) > 1:
+            raise ValueError(f"prior: expected one for {kernel.dimension}-D points like the kernel, got {self.prior}")
+        self.dimension: int | None = dimensions.pop() if dimensions else None
+        for name, value in (("noise", noise), ("normal_noise", normal_noise)):
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name}: expected a standard deviation ≥ 0, got {value}")
+        self.noise, self.normal_noise = float(noise), float(normal_noise)
+        self._fit: _Fit | None = None
+
+    def __repr__(self) -> str:
+        state = "not fitted" if self._fit is None else f"{len(self._fit.observations.points)} points"
+        return f"GPIS({self.kernel}, {self.prior}, noise={self.noise}, normal_noise={self.normal_noise}; {state})"
+
+    @property
+    def jitter(self) -> float:
+        return self._fitted().factor.jitter
+
+    @property
+    def condition(self) -> float:
+        return self._fitted().factor.condition
+
+    def fit(self, points: ArrayLike, normals: ArrayLike | None = None, noise: ArrayLike | None = None) -> Self:
+        """Condition on points of the surface; replaces what was fitted before, unless it fails.
+
+        Args:
+            points: (N, D) [m], N ≥ 1.
+            normals: (N, D) unit vectors pointing out, or None for values only.
+            noise: standard deviation of the values, one or (N,); None takes the model's.
+
+        Returns:
+            The model itself.
+
+        Raises:
+            ValueError: bad points, normals or noise; points that coincide without noise; normals with a kernel that
+                is not differentiable; (LinAlgError) a Gram matrix that stays singular under the largest jitter.
+        """
+        data = check_observations(points, normals, self.noise if noise is None else noise, self.normal_noise)
+        self._check_dimension(data.points, "points")
+        gram = self._covariance(data.points, data.points, data.normals is not None, data.normals is not None)
+        gram[np.diag_indices_from(gram)] += data.deviations**2
+        factor = factorise(gram)
+        residual = -self.prior.value(data.points)
+        if data.normals is not None:
+            residual = np.concatenate([residual, (data.normals - self.prior.gradient(data.points)).ravel()])
+        self._fit = _Fit(data, factor, residual, factor.solve(residual))
+        return self
+
+    def predict(self, x: ArrayLike, gradient: bool = False, variance: bool = False) -> Prediction:
+        """Posterior mean at x (M, D) [m], with its gradient and the variance of f where asked for.
+
+        Works through x in chunks: beyond the results, memory does not grow with M.
+
+        Raises:
+            ValueError: bad x; a gradient from a kernel without one; (LinAlgError) a variance that is negative beyond
+                rounding, which a kernel out of its range gives.
+            RuntimeError: the model is not fitted.
+        """
+        fit = self._fitted()
+        x = check_points(x, "x")
+        self._check_dimension(x, "x")
+        mean = self.prior.value(x)
+        slope = self.prior.gradient(x) if gradient else None
+        spread = self.kernel.diagonal(x) if variance else None
+        step = max(1, CHUNK_ENTRIES // (len(fit.weights) * (1 + x.shape[1] if gradient else 1)))
+        for start in range(0, len(x), step):
+            part = slice(start, min(start + step, len(x)))
+            count = part.stop - start
+            cross = self._cross(x[part], gradient)  # (count(1 + D) or count, n)
+            update = cross @ fit.weights
+            mean[part] += update[:count]
+            if slope is not None:
+                slope[part] += update[count:].reshape(count, -1)
+            if spread is not None:
+                spread[part] = checked_variance(spread[part], cross[:count], fit.factor)
+        return Prediction(mean, slope, spread)
+
+    def sample(self, x: ArrayLike, n: int, rng: np.random.Generator) -> Array:
+        """n joint draws (n, M) of f, without noise, at x (M, D) [m] from the posterior.
+
+        Raises:
+            ValueError: bad x or a negative n; (LinAlgError) a covariance that is not positive semi-definite beyond
+                rounding.
+            RuntimeError: the model is not fitted.
+        """
+        fit = self._fitted()
+        if n < 0:
+            raise ValueError(f"n: expected a number of draws ≥ 0, got {n}")
+        mean = self.predict(x).mean
+        x = np.asarray(x, dtype=np.float64)
+        half = solve_triangular(fit.factor.lower, self._cross(x, False).T, lower=True, check_finite=False)
+        covariance = self.kernel.value(x, x) - half.T @ half
+        # The posterior covariance is singular near the data, where Cholesky fails: take the symmetric root.
+        eigenvalues, vectors = np.linalg.eigh(covariance)
+        tolerance = fit.factor.rounding * self.kernel.diagonal(x).max(initial=0.0) * max(len(x), 1)
+        if eigenvalues.size and eigenvalues[0] < -tolerance:
+            raise np.linalg.LinAlgError(
+                f"covariance: expected eigenvalues ≥ 0 up to rounding ({tolerance:.1e}), got {eigenvalues[0]:.3g}"
+            )
+        root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+        return mean + rng.standard_normal((n, len(x))) @ root.T
+
+    def log_marginal_likelihood(self) -> float:
+        """log p(observations | points, kernel, prior, noise), normals included. Rasmussen & Williams 2006, eq. 2.30.
+
+        Raises:
+            RuntimeError: the model is not fitted.
+        """
+        fit = self._fitted()
+        fidelity = -0.5 * float(fit.residual @ fit.weights)
+        return fidelity - fit.factor.half_log_determinant - 0.5 * len(fit.residual) * np.log(2.0 * np.pi)
+
+    def _fitted(self) -> _Fit:
+        if self._fit is None:
+            raise RuntimeError("GPIS: expected a fitted model; call fit(points) first")
+        return self._fit
+
+    def _check_dimension(self, x: Array, name: str) -> None:
+        expected = self.dimension if self._fit is None or name == "points" else self._fit.observations.points.shape[1]
+        if expected is not None and x.shape[1] != expected:
+            raise ValueError(f"{name}: expected shape (N, {expected}), got {x.shape}")
+
+    def _cross(self, x: Array, gradient: bool) -> Array:
+        """Covariance of f, and ∂f where asked for, at x with all observations."""
+        data = self._fitted().observations
+        return self._covariance(x, data.points, gradient, data.normals is not None)
+
+    def _covariance(self, x: Array, y: Array, x_gradient: bool, y_gradient: bool) -> Array:
+        """Covariance of (f, ∂f)(x) with (f, ∂f)(y), the gradients only where said, in the module's order."""
+        kernel, (n, dimension), m = self.kernel, x.shape, len(y)
+        columns = m * (1 + dimension) if y_gradient else m
+        block = np.empty((n * (1 + dimension) if x_gradient else n, columns))
+        block[:n, :m] = kernel.value(x, y)
+        if y_gradient:
+            block[:n, m:] = kernel.gradient(x, y).reshape(n, m * dimension)
+        if x_gradient:
+            block[n:, :m] = kernel.gradient(y, x).transpose(1, 2, 0).reshape(n * dimension, m)
+        if x_gradient and y_gradient:
+            block[n:, m:] = kernel.hessian(x, y).transpose(0, 2, 1, 3).reshape(n * dimension, m * dimension)
+        return block
