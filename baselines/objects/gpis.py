@@ -124,17 +124,19 @@ class GPIS:
         mean = self.prior.value(x)
         slope = self.prior.gradient(x) if gradient else None
         spread = self.kernel.diagonal(x) if variance else None
-        step = max(1, CHUNK_ENTRIES // (len(fit.weights) * (1 + x.shape[1] if gradient else 1)))
+        points = fit.observations.points
+        values, slopes = fit.weights[: len(points)], None
+        if fit.observations.normals is not None:
+            slopes = fit.weights[len(points) :].reshape(points.shape)
+        step = max(1, CHUNK_ENTRIES // len(fit.weights))
         for start in range(0, len(x), step):
             part = slice(start, min(start + step, len(x)))
-            count = part.stop - start
-            cross = self._cross(x[part], gradient)  # (count(1 + D) or count, n)
-            update = cross @ fit.weights
-            mean[part] += update[:count]
-            if slope is not None:
-                slope[part] += update[count:].reshape(count, -1)
+            mean_part, slope_part = self.kernel.weighted(x[part], points, values, slopes, gradient)
+            mean[part] += mean_part
+            if slope is not None and slope_part is not None:
+                slope[part] += slope_part
             if spread is not None:
-                spread[part] = checked_variance(spread[part], cross[:count], fit.factor)
+                spread[part] = checked_variance(spread[part], self._cross(x[part]), fit.factor)
         return Prediction(mean, slope, spread)
 
     def sample(self, x: ArrayLike, n: int, rng: np.random.Generator) -> Array:
@@ -150,7 +152,7 @@ class GPIS:
             raise ValueError(f"n: expected a number of draws ≥ 0, got {n}")
         mean = self.predict(x).mean
         x = np.asarray(x, dtype=np.float64)
-        half = solve_triangular(fit.factor.lower, self._cross(x, False).T, lower=True, check_finite=False)
+        half = solve_triangular(fit.factor.lower, self._cross(x).T, lower=True, check_finite=False)
         covariance = self.kernel.value(x, x) - half.T @ half
         # The posterior covariance is singular near the data, where Cholesky fails: take the symmetric root.
         eigenvalues, vectors = np.linalg.eigh(covariance)
@@ -182,10 +184,10 @@ class GPIS:
         if expected is not None and x.shape[1] != expected:
             raise ValueError(f"{name}: expected shape (N, {expected}), got {x.shape}")
 
-    def _cross(self, x: Array, gradient: bool) -> Array:
-        """Covariance of f, and ∂f where asked for, at x with all observations."""
+    def _cross(self, x: Array) -> Array:
+        """Covariance (M, n) of f at x with all observations."""
         data = self._fitted().observations
-        return self._covariance(x, data.points, gradient, data.normals is not None)
+        return self._covariance(x, data.points, False, data.normals is not None)
 
     def _covariance(self, x: Array, y: Array, x_gradient: bool, y_gradient: bool) -> Array:
         """Covariance of (f, ∂f)(x) with (f, ∂f)(y), the gradients only where said, in the module's order."""

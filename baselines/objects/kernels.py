@@ -57,6 +57,21 @@ class Kernel(ABC):
         """var ∂f(x)/∂x_i (N, D)."""
         raise ValueError(f"kernel: expected a differentiable one for gradients, got {self}")
 
+    def weighted(
+        self, x: Array, y: Array, values: Array, slopes: Array | None, gradient: bool
+    ) -> tuple[Array, Array | None]:
+        """The function Σ_j cov(f(x), f(y_j)) values_j + cov(f(x), ∂f(y_j))·slopes_j (N,), and its gradient (N, D).
+
+        Weights are (M,) and (M, D) or None; the gradient is None unless asked for.
+        """
+        mean = self.value(x, y) @ values
+        slope = np.einsum("mnd,m->nd", self.gradient(y, x), values) if gradient else None
+        if slopes is not None:
+            mean += np.einsum("nmd,md->n", self.gradient(x, y), slopes)
+            if slope is not None:
+                slope += np.einsum("nmde,me->nd", self.hessian(x, y), slopes)
+        return mean, slope
+
 
 class _Isotropic(Kernel):
     """k = φ(d) with d = ‖x − y‖: all blocks follow from φ, a = φ'/d and b = (φ'' − φ'/d)/d² = a'/d."""
@@ -85,6 +100,28 @@ class _Isotropic(Kernel):
         axes = np.arange(x.shape[1])
         blocks[..., axes, axes] -= self._first(d)[..., None]
         return blocks
+
+    def weighted(
+        self, x: Array, y: Array, values: Array, slopes: Array | None, gradient: bool
+    ) -> tuple[Array, Array | None]:
+        # With s = (x − y)·slope the sums over D factor into products of (N, M) matrices: no block is ever built.
+        centre = y.mean(axis=0)  # about which x·w − y·w cancels least
+        x, y = x - centre, y - centre
+        d = cdist(x, y)
+        mean = self._profile(d) @ values
+        if slopes is None and not gradient:
+            return mean, None
+        first = self._first(d)
+        inner = None if slopes is None else x @ slopes.T - np.einsum("md,md->m", y, slopes)
+        if inner is not None:
+            mean -= np.einsum("nm,nm->n", first, inner)
+        if not gradient:
+            return mean, None
+        along = first * values
+        if inner is not None:
+            along -= self._second(d) * inner
+        slope = x * along.sum(axis=1, keepdims=True) - along @ y
+        return mean, slope if slopes is None else slope - first @ slopes
 
     def diagonal(self, x: Array) -> Array:
         return np.full(len(x), self._profile(np.zeros(1))[0])
