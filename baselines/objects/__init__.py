@@ -7,8 +7,9 @@
     mean, gradient, variance = model.predict(x, gradient=True, variance=True)
 """
 
-from baselines.objects.gpis import GPIS, Prediction
-from baselines.objects.kernels import Brownian, Kernel, Matern52, Periodic, SquaredExponential, ThinPlate
+from baselines.objects.gpis import GPIS, Optimization, Prediction
+from baselines.objects.kernels import Kernel, Matern52, SquaredExponential, ThinPlate
+from baselines.objects.line_kernels import Brownian, Periodic
 from baselines.objects.priors import (
     Constant,
     Cylinder,
@@ -30,6 +31,7 @@ __all__ = [
     "FinitePlane",
     "Kernel",
     "Matern52",
+    "Optimization",
     "Periodic",
     "Plane",
     "Posed",

@@ -8,6 +8,8 @@ Sources: Williams & Fitzgibbon 2007, "Gaussian process implicit surfaces"; Rasmu
 section 9.4 (derivative observations); Dragiev, Toussaint & Gienger 2011 (normals).
 """
 
+from collections.abc import Collection
+from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -15,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
 from baselines.objects.kernels import Kernel
+from baselines.objects.likelihood import Bounds, log_likelihood, maximise, scaled
 from baselines.objects.linear_algebra import Array, Factor, checked_variance, factorise
 from baselines.objects.observations import Observations, check_observations, check_points
 from baselines.objects.priors import Constant, Prior
@@ -29,6 +32,19 @@ class Prediction(NamedTuple):
     mean: Array  # (M,)
     gradient: Array | None  # (M, D), of the mean; None unless asked for
     variance: Array | None  # (M,), of f without noise; None unless asked for
+
+
+@dataclass(frozen=True)
+class Optimization:
+    """What `GPIS.optimize` found."""
+
+    model: "GPIS"  # a new model, fitted to the same observations
+    before: float  # log marginal likelihood
+    after: float
+    converged: bool
+    active: tuple[str, ...]  # parameters that ended on a bound: the data asks for more than was allowed
+    evaluations: int
+    message: str
 
 
 class _Fit(NamedTuple):
@@ -82,13 +98,20 @@ class GPIS:
     def condition(self) -> float:
         return self._fitted().factor.condition
 
-    def fit(self, points: ArrayLike, normals: ArrayLike | None = None, noise: ArrayLike | None = None) -> Self:
+    def fit(
+        self,
+        points: ArrayLike,
+        normals: ArrayLike | None = None,
+        noise: ArrayLike | None = None,
+        normal_noise: ArrayLike | None = None,
+    ) -> Self:
         """Condition on points of the surface; replaces what was fitted before, unless it fails.
 
         Args:
             points: (N, D) [m], N ≥ 1.
             normals: (N, D) unit vectors pointing out, or None for values only.
             noise: standard deviation of the values, one or (N,); None takes the model's.
+            normal_noise: standard deviation of a normal's components, one or (N,); None takes the model's.
 
         Returns:
             The model itself.
@@ -97,9 +120,17 @@ class GPIS:
             ValueError: bad points, normals or noise; points that coincide without noise; normals with a kernel that
                 is not differentiable; (LinAlgError) a Gram matrix that stays singular under the largest jitter.
         """
-        data = check_observations(points, normals, self.noise if noise is None else noise, self.normal_noise)
+        data = check_observations(
+            points,
+            normals,
+            self.noise if noise is None else noise,
+            self.normal_noise if normal_noise is None else normal_noise,
+        )
         self._check_dimension(data.points, "points")
-        gram = self._covariance(data.points, data.points, data.normals is not None, data.normals is not None)
+        return self._condition(data)
+
+    def _condition(self, data: Observations) -> Self:
+        gram = self.kernel.gram(data.points, data.normals is not None)
         gram[np.diag_indices_from(gram)] += data.deviations**2
         factor = factorise(gram)
         residual = -self.prior.value(data.points)
@@ -171,8 +202,42 @@ class GPIS:
             RuntimeError: the model is not fitted.
         """
         fit = self._fitted()
-        fidelity = -0.5 * float(fit.residual @ fit.weights)
-        return fidelity - fit.factor.half_log_determinant - 0.5 * len(fit.residual) * np.log(2.0 * np.pi)
+        return log_likelihood(fit.factor, fit.residual, fit.weights)
+
+    def optimize(
+        self,
+        bounds: Bounds | None = None,
+        fixed: Collection[str] = (),
+        restarts: int = 0,
+        rng: np.random.Generator | None = None,
+        max_iterations: int = 100,
+    ) -> Optimization:
+        """Maximise the marginal likelihood over the kernel's parameters and the noise; this model stays as it is.
+
+        The parameters are the kernel's fields (`length_scale`, `variance`, `radius`) and `noise` and, with normals,
+        `normal_noise`: factors on the standard deviations that were fitted, starting at 1. What is 0 stays 0.
+
+        Args:
+            bounds: (low, high) by name, around the present value; a hundredth to a hundred times it unless given (a
+                thin plate's radius only upwards).
+            fixed: names of parameters that keep their value.
+            restarts: further starts, drawn within the bounds, log-uniformly.
+            rng: the generator that draws them.
+            max_iterations: of each start.
+
+        Raises:
+            ValueError: see `maximise`.
+            RuntimeError: the model is not fitted.
+        """
+        fit = self._fitted()
+        data = fit.observations
+        found = maximise(self.kernel, data, fit.residual, bounds or {}, fixed, restarts, rng, max_iterations)
+        model = GPIS(
+            found.kernel, self.prior, self.noise * found.noise_factor, self.normal_noise * found.normal_noise_factor
+        )
+        model._condition(scaled(data, found.noise_factor, found.normal_noise_factor))
+        before, after = self.log_marginal_likelihood(), model.log_marginal_likelihood()
+        return Optimization(model, before, after, found.converged, found.active, found.evaluations, found.message)
 
     def _fitted(self) -> _Fit:
         if self._fit is None:
@@ -187,18 +252,4 @@ class GPIS:
     def _cross(self, x: Array) -> Array:
         """Covariance (M, n) of f at x with all observations."""
         data = self._fitted().observations
-        return self._covariance(x, data.points, False, data.normals is not None)
-
-    def _covariance(self, x: Array, y: Array, x_gradient: bool, y_gradient: bool) -> Array:
-        """Covariance of (f, ∂f)(x) with (f, ∂f)(y), the gradients only where said, in the module's order."""
-        kernel, (n, dimension), m = self.kernel, x.shape, len(y)
-        columns = m * (1 + dimension) if y_gradient else m
-        block = np.empty((n * (1 + dimension) if x_gradient else n, columns))
-        block[:n, :m] = kernel.value(x, y)
-        if y_gradient:
-            block[:n, m:] = kernel.gradient(x, y).reshape(n, m * dimension)
-        if x_gradient:
-            block[n:, :m] = kernel.gradient(y, x).transpose(1, 2, 0).reshape(n * dimension, m)
-        if x_gradient and y_gradient:
-            block[n:, m:] = kernel.hessian(x, y).transpose(0, 2, 1, 3).reshape(n * dimension, m * dimension)
-        return block
+        return self.kernel.cross(x, data.points, data.normals is not None)

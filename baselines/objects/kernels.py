@@ -7,24 +7,29 @@ A kernel gives three blocks between points x (N, D) and y (M, D), from which eve
   for the stationary kernels, all of those that are differentiable here
 - ``hessian``   cov(∂f(x)/∂x_i, ∂f(y)/∂y_j) = ∂²k/∂x_i∂y_j (N, M, D, D)
 
-and the diagonals ``diagonal`` (N,) and ``gradient_diagonal`` (N, D): the prior variances of f and of ∂f.
+and the diagonals ``diagonal`` (N,) and ``gradient_diagonal`` (N, D): the prior variances of f and of ∂f. ``gram`` and
+``cross`` put the blocks together, and ``contract`` gives what the likelihood's gradient needs.
+
+The kernels here are functions of the distance, for points in space; those on a line are in `line_kernels`.
 
 Sources: Rasmussen & Williams 2006, chapters 4 and 9.4; Williams & Fitzgibbon 2007, "Gaussian process implicit
 surfaces" (thin plate).
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from baselines.objects.pairwise import fill_cross, fill_gram, reduce_weights, weighted_slopes
+
 Array = NDArray[np.float64]
 
 
-def _require_positive(**values: float) -> None:
+def require_positive(**values: float) -> None:
     for name, value in values.items():
         if not 0.0 < value < np.inf:
             raise ValueError(f"{name}: expected a positive finite number, got {value}")
@@ -72,6 +77,35 @@ class Kernel(ABC):
                 slope += np.einsum("nmde,me->nd", self.hessian(x, y), slopes)
         return mean, slope
 
+    def gram(self, x: Array, gradients: bool) -> Array:
+        """Covariance (n, n) of all values at x (N, D), then, where said, of all gradients point by point."""
+        if not gradients:
+            return self.value(x, x)
+        (count, dimension), slope = x.shape, self.gradient(x, x)
+        n = count * dimension
+        return np.block(
+            [
+                [self.value(x, x), slope.reshape(count, n)],
+                [slope.transpose(1, 2, 0).reshape(n, count), self.hessian(x, x).transpose(0, 2, 1, 3).reshape(n, n)],
+            ]
+        )
+
+    def cross(self, x: Array, y: Array, gradients: bool) -> Array:
+        """Covariance (M, n) of f at x (M, D) with values, and where said gradients, at y (N, D), in `gram`'s order."""
+        if not gradients:
+            return self.value(x, y)
+        return np.concatenate([self.value(x, y), self.gradient(x, y).reshape(len(x), -1)], axis=1)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The hyper-parameters by name; all are positive."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @abstractmethod
+    def contract(self, x: Array, lower: Array, gradients: bool) -> dict[str, float]:
+        """Σ W∘∂K/∂log θ for each hyper-parameter θ, K = gram(x, gradients) and the symmetric W (n, n) whose lower
+        triangle is given."""
+
 
 class _Isotropic(Kernel):
     """k = φ(d) with d = ‖x − y‖: all blocks follow from φ, a = φ'/d and b = (φ'' − φ'/d)/d² = a'/d."""
@@ -88,6 +122,14 @@ class _Isotropic(Kernel):
     def _second(self, d: Array) -> Array:
         """b(d) = a'(d)/d; any finite value at 0 where b d² vanishes there."""
 
+    @abstractmethod
+    def _scale_derivatives(self, d: Array) -> tuple[str, tuple[Array, Array, Array]]:
+        """Name of the length among the parameters, and the derivatives of φ, a and b by its logarithm."""
+
+    def _profiles(self, d: Array) -> tuple[Array, Array, Array]:
+        """φ, a and b."""
+        return self._profile(d), self._first(d), self._second(d)
+
     def value(self, x: Array, y: Array) -> Array:
         return self._profile(cdist(x, y))
 
@@ -101,27 +143,40 @@ class _Isotropic(Kernel):
         blocks[..., axes, axes] -= self._first(d)[..., None]
         return blocks
 
+    def gram(self, x: Array, gradients: bool) -> Array:
+        if not gradients:
+            return self.value(x, x)
+        out = np.empty((x.size + len(x),) * 2)
+        fill_gram(x, *self._profiles(cdist(x, x)), out)
+        return out
+
+    def cross(self, x: Array, y: Array, gradients: bool) -> Array:
+        if not gradients:
+            return self.value(x, y)
+        out, (value, first, _) = np.empty((len(x), y.size + len(y))), self._profiles(cdist(x, y))
+        fill_cross(x, y, value, first, out)
+        return out
+
+    def contract(self, x: Array, lower: Array, gradients: bool) -> dict[str, float]:
+        d = cdist(x, x)
+        reduced = reduce_weights(x, lower) if gradients else (2.0 * np.tril(lower, -1) + np.diag(np.diag(lower)),)
+        name, derivatives = self._scale_derivatives(d)
+        profiles = {name: derivatives, "variance": self._profiles(d)}  # every block is proportional to the variance
+        return {
+            name: float(sum(np.vdot(w, p) for w, p in zip(reduced, blocks, strict=False)))
+            for name, blocks in profiles.items()
+        }
+
     def weighted(
         self, x: Array, y: Array, values: Array, slopes: Array | None, gradient: bool
     ) -> tuple[Array, Array | None]:
-        # With s = (x − y)·slope the sums over D factor into products of (N, M) matrices: no block is ever built.
-        centre = y.mean(axis=0)  # about which x·w − y·w cancels least
-        x, y = x - centre, y - centre
         d = cdist(x, y)
-        mean = self._profile(d) @ values
         if slopes is None and not gradient:
-            return mean, None
-        first = self._first(d)
-        inner = None if slopes is None else x @ slopes.T - np.einsum("md,md->m", y, slopes)
-        if inner is not None:
-            mean -= np.einsum("nm,nm->n", first, inner)
-        if not gradient:
-            return mean, None
-        along = first * values
-        if inner is not None:
-            along -= self._second(d) * inner
-        slope = x * along.sum(axis=1, keepdims=True) - along @ y
-        return mean, slope if slopes is None else slope - first @ slopes
+            return self._profile(d) @ values, None
+        value, first, second = self._profiles(d)
+        mean, slope = value @ values, np.zeros(x.shape)
+        weighted_slopes(x, y, first, second, values, np.zeros(y.shape) if slopes is None else slopes, mean, slope)
+        return mean, slope if gradient else None
 
     def diagonal(self, x: Array) -> Array:
         return np.full(len(x), self._profile(np.zeros(1))[0])
@@ -146,7 +201,7 @@ class SquaredExponential(_Isotropic):
     variance: float = 1.0
 
     def __post_init__(self) -> None:
-        _require_positive(length_scale=self.length_scale, variance=self.variance)
+        require_positive(length_scale=self.length_scale, variance=self.variance)
 
     def _profile(self, d: Array) -> Array:
         return self.variance * np.exp(-0.5 * (d / self.length_scale) ** 2)
@@ -156,6 +211,15 @@ class SquaredExponential(_Isotropic):
 
     def _second(self, d: Array) -> Array:
         return self._profile(d) / self.length_scale**4
+
+    def _profiles(self, d: Array) -> tuple[Array, Array, Array]:
+        value, weight = self._profile(d), self.length_scale**-2  # one exponential for the three
+        first = -weight * value
+        return value, first, -weight * first
+
+    def _scale_derivatives(self, d: Array) -> tuple[str, tuple[Array, Array, Array]]:
+        (value, first, second), u = self._profiles(d), (d / self.length_scale) ** 2
+        return "length_scale", (value * u, first * (u - 2.0), second * (u - 4.0))
 
 
 @dataclass(frozen=True)
@@ -174,7 +238,7 @@ class Matern52(_Isotropic):
     variance: float = 1.0
 
     def __post_init__(self) -> None:
-        _require_positive(length_scale=self.length_scale, variance=self.variance)
+        require_positive(length_scale=self.length_scale, variance=self.variance)
 
     def _profile(self, d: Array) -> Array:
         q = np.sqrt(5.0) / self.length_scale * d
@@ -186,6 +250,22 @@ class Matern52(_Isotropic):
 
     def _second(self, d: Array) -> Array:
         return 25.0 / 3.0 * self.variance / self.length_scale**4 * np.exp(-np.sqrt(5.0) / self.length_scale * d)
+
+    def _profiles(self, d: Array) -> tuple[Array, Array, Array]:
+        q, weight = np.sqrt(5.0) / self.length_scale * d, 5.0 / 3.0 * self.length_scale**-2
+        exponential = self.variance * np.exp(-q)  # one for the three
+        linear = (1.0 + q) * exponential
+        return linear + q**2 / 3.0 * exponential, -weight * linear, 3.0 * weight**2 * exponential
+
+    def _scale_derivatives(self, d: Array) -> tuple[str, tuple[Array, Array, Array]]:
+        q, weight = np.sqrt(5.0) / self.length_scale * d, 5.0 / 3.0 * self.length_scale**-2
+        exponential = self.variance * np.exp(-q)
+        value = q**2 * (1.0 + q) / 3.0 * exponential
+        return "length_scale", (
+            value,
+            weight * (2.0 + 2.0 * q - q**2) * exponential,
+            3.0 * weight**2 * (q - 4.0) * exponential,
+        )
 
 
 @dataclass(frozen=True)
@@ -204,7 +284,7 @@ class ThinPlate(_Isotropic):
     variance: float = 1.0
 
     def __post_init__(self) -> None:
-        _require_positive(radius=self.radius, variance=self.variance)
+        require_positive(radius=self.radius, variance=self.variance)
 
     def _check(self, d: Array) -> None:
         if d.size and (largest := d.max()) > self.radius:
@@ -223,70 +303,7 @@ class ThinPlate(_Isotropic):
         # b = 6σ²/d, but b d² → 0: its value at 0 multiplies zeros.
         return np.divide(6.0 * self.variance, d, out=np.zeros_like(d), where=d > 0.0)
 
-
-@dataclass(frozen=True)
-class Periodic(Kernel):
-    """k = σ² exp(−2 sin²((x − y)/2)/l²) on a line, of period 2π. Rasmussen & Williams 2006, eq. 4.31.
-
-    Args:
-        length_scale: l, without a unit: the argument is an angle [rad].
-        variance: σ², of f.
-
-    Raises:
-        ValueError: one of them is not positive and finite.
-    """
-
-    length_scale: float
-    variance: float = 1.0
-    dimension: ClassVar[int | None] = 1
-
-    def __post_init__(self) -> None:
-        _require_positive(length_scale=self.length_scale, variance=self.variance)
-
-    def value(self, x: Array, y: Array) -> Array:
-        half = np.sin(0.5 * (x - y.T))
-        return self.variance * np.exp(-2.0 * (half / self.length_scale) ** 2)
-
-    def gradient(self, x: Array, y: Array) -> Array:
-        return (self.value(x, y) * np.sin(x - y.T) / self.length_scale**2)[..., None]
-
-    def hessian(self, x: Array, y: Array) -> Array:
-        u, weight = x - y.T, self.length_scale**-2
-        return (self.value(x, y) * weight * (np.cos(u) - weight * np.sin(u) ** 2))[..., None, None]
-
-    def diagonal(self, x: Array) -> Array:
-        return np.full(len(x), self.variance)
-
-    def gradient_diagonal(self, x: Array) -> Array:
-        return np.full(x.shape, self.variance / self.length_scale**2)
-
-
-@dataclass(frozen=True)
-class Brownian(Kernel):
-    """k = σ² min(x, y) on the half-line x ≥ 0: the Wiener process, which has no derivative.
-
-    Args:
-        variance: σ², of an increment of unit length.
-
-    Raises:
-        ValueError: it is not positive and finite; from the blocks: a negative coordinate.
-    """
-
-    variance: float = 1.0
-    differentiable: ClassVar[bool] = False
-    dimension: ClassVar[int | None] = 1
-
-    def __post_init__(self) -> None:
-        _require_positive(variance=self.variance)
-
-    def value(self, x: Array, y: Array) -> Array:
-        return self.variance * np.minimum(self._checked(x), self._checked(y).T)
-
-    def diagonal(self, x: Array) -> Array:
-        return self.variance * self._checked(x)[:, 0]
-
-    @staticmethod
-    def _checked(x: Array) -> Array:
-        if x.size and x.min() < 0.0:
-            raise ValueError(f"x: expected coordinates ≥ 0 for the Brownian kernel, got {x.min():g}")
-        return x
+    def _scale_derivatives(self, d: Array) -> tuple[str, tuple[Array, Array, Array]]:
+        self._check(d)
+        R, s = self.radius, self.variance
+        return "radius", (3.0 * s * R * (R**2 - d**2), np.full_like(d, -6.0 * s * R), np.zeros_like(d))

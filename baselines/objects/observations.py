@@ -34,10 +34,20 @@ def check_points(points: ArrayLike, name: str) -> Array:
     return array
 
 
+def _deviations(value: ArrayLike, count: int, name: str) -> Array:
+    sigma = np.asarray(value, dtype=np.float64)
+    if sigma.shape not in ((), (count,)):
+        raise ValueError(f"{name}: expected one number or shape ({count},), got {sigma.shape}")
+    if not (np.isfinite(sigma) & (sigma >= 0.0)).all():
+        wrong = sigma[~(sigma >= 0.0) | np.isinf(sigma)][0]
+        raise ValueError(f"{name}: expected standard deviations ≥ 0, got {wrong}")
+    return np.broadcast_to(sigma, count).copy()
+
+
 def check_observations(
-    points: ArrayLike, normals: ArrayLike | None, noise: ArrayLike, normal_noise: float
+    points: ArrayLike, normals: ArrayLike | None, noise: ArrayLike, normal_noise: ArrayLike
 ) -> Observations:
-    """Points (N, D) [m], unit normals (N, D) or None, and the deviation of the values, one or (N,).
+    """Points (N, D) [m], unit normals (N, D) or None, and the deviations of both, each one or (N,).
 
     Raises:
         ValueError: no points; a value that is not finite; shapes that do not match; a normal that is zero or not of
@@ -46,27 +56,14 @@ def check_observations(
     x = check_points(points, "points")
     if len(x) == 0:
         raise ValueError("points: expected at least one, got none")
-    sigma = np.asarray(noise, dtype=np.float64)
-    if sigma.shape not in ((), (len(x),)):
-        raise ValueError(f"noise: expected one number or shape ({len(x)},), got {sigma.shape}")
-    if not (np.isfinite(sigma) & (sigma >= 0.0)).all():
-        raise ValueError(f"noise: expected standard deviations ≥ 0, got {sigma[~(sigma >= 0.0) | np.isinf(sigma)][0]}")
-    sigma = np.broadcast_to(sigma, len(x)).copy()
+    sigma = _deviations(noise, len(x), "noise")
     exact = sigma == 0.0
     n = None
     if normals is not None:
-        n = check_points(normals, "normals")
-        if n.shape != x.shape:
-            raise ValueError(f"normals: expected shape {x.shape} like the points, got {n.shape}")
-        lengths = np.linalg.norm(n, axis=1)
-        wrong = np.abs(lengths - 1.0) > UNIT_TOLERANCE
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise ValueError(
-                f"normals: expected unit length (to {UNIT_TOLERANCE:g}), got {lengths[row]:g} in row {row}"
-            )
-        sigma = np.concatenate([sigma, np.full(x.size, normal_noise)])
-        exact = exact | (normal_noise == 0.0)
+        n = check_normals(normals, x)
+        turned = _deviations(normal_noise, len(x), "normal_noise")
+        sigma = np.concatenate([sigma, np.repeat(turned, x.shape[1])])
+        exact = exact | (turned == 0.0)
     distinct = np.unique(x[exact], axis=0)
     if len(distinct) < exact.sum():
         raise ValueError(
@@ -74,3 +71,20 @@ def check_observations(
             "duplicate(s); give noise or remove them"
         )
     return Observations(x, n, sigma)
+
+
+def check_normals(normals: ArrayLike, points: Array) -> Array:
+    """`normals` as a finite float64 array of the shape of `points` (N, D), each of length one.
+
+    Raises:
+        ValueError: naming the shape, or the first row that is wrong.
+    """
+    n = check_points(normals, "normals")
+    if n.shape != points.shape:
+        raise ValueError(f"normals: expected shape {points.shape} like the points, got {n.shape}")
+    lengths = np.linalg.norm(n, axis=1)
+    wrong = np.abs(lengths - 1.0) > UNIT_TOLERANCE
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise ValueError(f"normals: expected unit length (to {UNIT_TOLERANCE:g}), got {lengths[row]:g} in row {row}")
+    return n
