@@ -21,6 +21,7 @@ from baselines.objects.priors import (
     SmoothUnion,
     Sphere,
 )
+from baselines.objects.surface import SurfaceError
 
 __all__ = [
     "GPIS",
@@ -40,5 +41,6 @@ __all__ = [
     "SmoothUnion",
     "Sphere",
     "SquaredExponential",
+    "SurfaceError",
     "ThinPlate",
 ]

@@ -8,11 +8,12 @@ Sources: Williams & Fitzgibbon 2007, "Gaussian process implicit surfaces"; Rasmu
 section 9.4 (derivative observations); Dragiev, Toussaint & Gienger 2011 (normals).
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
+import trimesh
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
@@ -21,9 +22,13 @@ from baselines.objects.likelihood import Bounds, log_likelihood, maximise, scale
 from baselines.objects.linear_algebra import Array, Factor, checked_variance, factorise
 from baselines.objects.observations import Observations, check_observations, check_points
 from baselines.objects.priors import Constant, Prior
+from baselines.objects.surface import MAX_CELLS, check_resolution, mesh, walk
 
 CHUNK_ENTRIES = 2**20
 """Entries of the largest block of cross-covariance held at a time in `predict` (8 MB in float64)."""
+
+CHUNK_PAIRS = 2**13
+"""Pairs of query and observation at a time for the mean, few enough to stay in cache and off fresh pages."""
 
 
 class Prediction(NamedTuple):
@@ -52,6 +57,11 @@ class _Fit(NamedTuple):
     factor: Factor
     residual: Array  # (n,) targets less the prior mean
     weights: Array  # (n,) K_y⁻¹ residual
+
+
+def _chunks(count: int, size: int) -> Iterator[slice]:
+    size = max(size, 1)
+    return (slice(start, min(start + size, count)) for start in range(0, count, size))
 
 
 class GPIS:
@@ -159,14 +169,13 @@ class GPIS:
         values, slopes = fit.weights[: len(points)], None
         if fit.observations.normals is not None:
             slopes = fit.weights[len(points) :].reshape(points.shape)
-        step = max(1, CHUNK_ENTRIES // len(fit.weights))
-        for start in range(0, len(x), step):
-            part = slice(start, min(start + step, len(x)))
+        for part in _chunks(len(x), CHUNK_PAIRS // len(points)):
             mean_part, slope_part = self.kernel.weighted(x[part], points, values, slopes, gradient)
             mean[part] += mean_part
             if slope is not None and slope_part is not None:
                 slope[part] += slope_part
-            if spread is not None:
+        if spread is not None:
+            for part in _chunks(len(x), CHUNK_ENTRIES // len(fit.weights)):
                 spread[part] = checked_variance(spread[part], self._cross(x[part]), fit.factor)
         return Prediction(mean, slope, spread)
 
@@ -238,6 +247,51 @@ class GPIS:
         model._condition(scaled(data, found.noise_factor, found.normal_noise_factor))
         before, after = self.log_marginal_likelihood(), model.log_marginal_likelihood()
         return Optimization(model, before, after, found.converged, found.active, found.evaluations, found.message)
+
+    def surface(self, resolution: float, sigma: float = 0.0, max_cells: int = MAX_CELLS) -> trimesh.Trimesh:
+        """Mesh of {mean = sigma · standard deviation}, followed from the data: (N, 3) points only.
+
+        sigma = 0 is the estimated surface. A shell of sigma > 0 encloses the object with confidence, one of sigma < 0
+        is enclosed by it. Pieces that no data is near are left out. The mesh is watertight with outward normals where the level set is closed; `metadata["evaluated"]` counts
+        the points at which the process was evaluated.
+
+        Args:
+            resolution: edge of a cell [m].
+            sigma: number of standard deviations.
+            max_cells: bound on the cells that are visited.
+
+        Raises:
+            ValueError: a resolution that is not positive; points that are not in space; (SurfaceError) no surface near
+                the data, or one with more than `max_cells` cells, as where it has no end.
+            RuntimeError: the model is not fitted.
+        """
+        points = self._fitted().observations.points
+        check_resolution(resolution)
+        if points.shape[1] != 3:
+            raise ValueError(f"points: expected a model of points in space for a surface, got {points.shape[1]}-D ones")
+
+        def level(x: Array) -> Array:
+            mean, _, variance = self.predict(x, variance=sigma != 0.0)
+            return mean if variance is None else mean - sigma * np.sqrt(variance)
+
+        walked = walk(level, self._project(level, points, resolution), resolution, max_cells)
+        found = mesh(walked)
+        found.metadata["evaluated"] = len(walked.keys)
+        return found
+
+    def _project(self, level: Callable[[Array], Array], points: Array, step: float, iterations: int = 20) -> Array:
+        """Points moved towards level = 0 along the mean's gradient, by no more than `step` at a time."""
+        x = points
+        for _ in range(iterations):
+            slope = self.predict(x, gradient=True).gradient
+            assert slope is not None
+            squared = np.maximum((slope**2).sum(axis=1), np.finfo(np.float64).tiny)
+            move = -(level(x) / squared)[:, None] * slope
+            length = np.linalg.norm(move, axis=1, keepdims=True)
+            x = x + move * np.minimum(1.0, step / np.maximum(length, np.finfo(np.float64).tiny))
+            if (length < 0.5 * step).all():
+                break
+        return x
 
     def _fitted(self) -> _Fit:
         if self._fit is None:

@@ -170,12 +170,15 @@ class _Isotropic(Kernel):
     def weighted(
         self, x: Array, y: Array, values: Array, slopes: Array | None, gradient: bool
     ) -> tuple[Array, Array | None]:
+        if x.shape[1] != 3:  # the compiled loop is for points in space
+            return super().weighted(x, y, values, slopes, gradient)
         d = cdist(x, y)
         if slopes is None and not gradient:
             return self._profile(d) @ values, None
         value, first, second = self._profiles(d)
         mean, slope = value @ values, np.zeros(x.shape)
-        weighted_slopes(x, y, first, second, values, np.zeros(y.shape) if slopes is None else slopes, mean, slope)
+        columns = np.zeros((3, len(y))) if slopes is None else np.ascontiguousarray(slopes.T)
+        weighted_slopes(x, np.ascontiguousarray(y.T), first, second, values, columns, mean, slope)
         return mean, slope if gradient else None
 
     def diagonal(self, x: Array) -> Array:

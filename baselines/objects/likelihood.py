@@ -3,8 +3,8 @@
 Source: Rasmussen & Williams 2006, eqs. 2.30 and 5.9. With α = K_y⁻¹ r the derivative by log θ is ½ tr((ααᵀ − K_y⁻¹)
 ∂K_y/∂log θ): the matrix in brackets is formed once, and contracted with the derivative of every kernel block by block.
 
-All parameters are positive and searched by their logarithms. `noise` and `normal_noise` are factors on the deviations of
-the values and of the normals, so that points of unequal noise keep their proportions.
+All parameters are positive and searched by their logarithms. `noise` and `normal_noise` are factors on the deviations
+of the values and of the normals, so that points of unequal noise keep their proportions.
 """
 
 from collections.abc import Collection, Mapping

@@ -62,9 +62,10 @@ def factorise(gram: Array, jitters: tuple[float, ...] = JITTERS) -> Factor:
         if not failed:
             reciprocal, _ = dpocon(lower, norm + fraction * scale, uplo="L")
             return Factor(lower, fraction * scale, 1.0 / reciprocal if reciprocal > 0.0 else np.inf)
+    largest = max(jitters, default=0.0) * scale
     raise np.linalg.LinAlgError(
-        f"Gram matrix: expected positive definite, got singular even with jitter {max(jitters, default=0.0) * scale:.3g} "
-        "on the diagonal; give noise, remove near-duplicate points, or (thin plate) raise the radius"
+        f"Gram matrix: expected positive definite, got singular even with jitter {largest:.3g} on the diagonal; give "
+        "noise, remove near-duplicate points, or (thin plate) raise the radius"
     )
 
 

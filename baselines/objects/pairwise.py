@@ -81,20 +81,24 @@ def reduce_weights(x: Array, lower: Array) -> tuple[Array, Array, Array]:
 def weighted_slopes(
     x: Array, y: Array, first: Array, second: Array, values: Array, slopes: Array, mean: Array, slope: Array
 ) -> None:
-    """Adds Σ_j cov(f(x), ∂f(y_j))·slopes_j to `mean` (M,) and ∂ of the whole mean to `slope` (M, D).
+    """Adds Σ_j cov(f(x), ∂f(y_j))·slopes_j to `mean` (M,) and ∂ of the whole mean to `slope` (M, 3).
 
-    `first` and `second` are a and b (M, N), `values` (N,) and `slopes` (N, D) the weights of values and gradients.
+    x (M, 3), but y and the weights of the gradients `slopes` (3, N), so that the inner loop is vectorised; `first` and
+    `second` are a and b (M, N), `values` (N,) the weights of the values.
     """
-    count, dimension = y.shape
+    count = y.shape[1]
     for i in range(len(x)):
-        total = 0.0
+        x0, x1, x2 = x[i, 0], x[i, 1], x[i, 2]
+        total = g0 = g1 = g2 = 0.0
         for j in range(count):
-            inner = 0.0
-            for e in range(dimension):
-                inner += (x[i, e] - y[j, e]) * slopes[j, e]
-            a = first[i, j]
+            r0, r1, r2, a = x0 - y[0, j], x1 - y[1, j], x2 - y[2, j], first[i, j]
+            inner = r0 * slopes[0, j] + r1 * slopes[1, j] + r2 * slopes[2, j]
             total += a * inner
             along = a * values[j] - second[i, j] * inner
-            for e in range(dimension):
-                slope[i, e] += along * (x[i, e] - y[j, e]) - a * slopes[j, e]
+            g0 += along * r0 - a * slopes[0, j]
+            g1 += along * r1 - a * slopes[1, j]
+            g2 += along * r2 - a * slopes[2, j]
         mean[i] -= total
+        slope[i, 0] += g0
+        slope[i, 1] += g1
+        slope[i, 2] += g2
