@@ -7,6 +7,7 @@
 Positions are in metres, normals point into the object, and a wrench is (force, torque about the centre).
 """
 
+from baselines.grasping.antipodal import closing_angles, line_distance, soft_antipodal
 from baselines.grasping.contacts import (
     Contact,
     contact_basis,
@@ -15,27 +16,28 @@ from baselines.grasping.contacts import (
     primitive_wrenches,
     wrench_points,
 )
-from baselines.grasping.quality import (
+from baselines.grasping.matrix_metrics import q_isotropy, q_min, q_volume
+from baselines.grasping.probability import (
     ForceClosureProbability,
-    force_closure,
-    largest_min_resisted_wrench,
+    antipodal_probability,
     probability_of_force_closure,
-    q_isotropy,
-    q_min,
-    q_volume,
-    soft_antipodal,
-    task_wrench_quality,
-    wrench_volume,
 )
+from baselines.grasping.tasks import ObjectWrenches, object_wrench_quality, task_wrench_quality
+from baselines.grasping.wrench_space import force_closure, largest_min_resisted_wrench, wrench_volume
 
 __all__ = [
     "Contact",
     "ForceClosureProbability",
+    "ObjectWrenches",
+    "antipodal_probability",
+    "closing_angles",
     "contact_basis",
     "force_closure",
     "friction_cone",
     "grasp_matrix",
     "largest_min_resisted_wrench",
+    "line_distance",
+    "object_wrench_quality",
     "primitive_wrenches",
     "probability_of_force_closure",
     "q_isotropy",
