@@ -1,7 +1,7 @@
 """The parallel-jaw gripper: one geometry for the physics that judges grasps and for the planners that propose them.
 
-Gripper frame: origin midway between the pads' faces, x along the closing axis, z along the approach axis (the palm is at
-negative z), y = z × x.
+Gripper frame: origin midway between the pads' faces, x along the closing axis, z along the approach axis (the palm is
+at negative z), y = z × x.
 """
 
 from __future__ import annotations
