@@ -26,8 +26,8 @@ RANK_TOLERANCE = 1e-10  # of the largest wrench: a thinner wrench space spans fe
 CLOSURE_TOLERANCE = 1e-9  # of the largest wrench: a smaller ball about zero is rounding, and counts as none
 # of the largest wrench: how far facets may be apart and count as one. Wrenches that are that far out of a common plane
 # can spoil a hull, which is noticed; then another threshold tells them apart, or a shift of the wrenches does
-TOLERANCES = (1e-11, 1e-10, 1e-12, 1e-13, 3e-10)
-SHIFTS = (3e-11,) * 4 + (3e-10,) * 4
+TOLERANCES = (1e-11, 1e-10, 1e-12, 1e-13, 3e-10, 1e-9, 3e-9, 1e-8, 1e-7)
+SHIFTS = (3e-11, 3e-11, 3e-10, 3e-10)
 
 
 class WrenchSpace(NamedTuple):
@@ -77,7 +77,8 @@ def largest_scale(space: WrenchSpace, task: Task = UNIT_BALL, enough: float = np
         enough: stop as soon as k is known to be above this, and return a lower bound.
 
     Returns:
-        k, exact to 1e-10 of the largest wrench (over the task's size); infinity where the task is zero.
+        k, exact to 1e-10 of the largest wrench (over the task's size), except where contacts are nearly, not exactly, symmetric:
+        there to the tolerance that kept the hull whole, at worst 1e-7. Infinity where the task is zero.
 
     Raises:
         RuntimeError: rounding spoilt the hull at every tolerance.
