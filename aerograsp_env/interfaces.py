@@ -7,7 +7,7 @@ They compare by identity, since arrays have no single truth value.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, Self, runtime_checkable
 
@@ -226,6 +226,15 @@ class Policy(Protocol):
         Returns:
             The action, (n,) or (N, n) in [−1, 1], and the next state.
         """
+        ...
+
+
+@runtime_checkable
+class Oracle(Policy, Protocol):
+    """A policy that reads the simulator's truth: an upper bound to compare with, listed as one."""
+
+    def watch(self, worlds: Sequence[Any]) -> None:
+        """Be told which unwrapped environments it acts in, row by row, before the first `predict`."""
         ...
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
@@ -196,10 +196,23 @@ def make_worlds(env_id: str, num_envs: int, env_kwargs: Mapping[str, Any]) -> Ve
     return env
 
 
+def worlds_of(env: VectorEnv) -> list[gymnasium.Env]:
+    """The worlds side by side, without their wrappers: what an oracle (`aerograsp_env.interfaces.Oracle`) watches.
+
+    Raises:
+        ValueError: a native batched environment, which has no single ones.
+    """
+    if not isinstance(env, SyncVectorEnv):
+        raise ValueError(f"env: expected single environments side by side for an oracle, got {type(env).__name__}")
+    return [world.unwrapped for world in env.envs]
+
+
 def _run(env: VectorEnv, policy: Any, episodes: int, seed: int, progress: bool, label: str) -> dict[str, Any]:
     from tqdm import tqdm
 
     worlds = env.num_envs
+    if callable(watch := getattr(policy, "watch", None)):
+        watch(worlds_of(env))  # an oracle
     action_shape = env.single_action_space.shape or ()
     success = np.zeros(episodes, dtype=np.bool_)
     returns = np.zeros(episodes)

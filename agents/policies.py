@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NAMESPACE = "aerograsp/"
 CHECKPOINTS = Path(__file__).parent / "checkpoints"
 TRIVIAL = ("zero", "random")
-LEARNED = ("ppo", "ppo-residual")
+LEARNED = ("ppo", "ppo-residual", "learned")
 
 
 class UnknownName(ValueError):
