@@ -85,14 +85,14 @@ def test_symmetric_and_nearly_symmetric_grasps(model: str) -> None:
             assert radius == pytest.approx(exact, abs=100 * noise + 1e-10)
 
 
-def test_radius_of_six_frictionless_pairs_in_closed_form() -> None:
-    """Two opposed frictionless fingers an axis, as couples: by symmetry the wrench space is a cross-polytope."""
+def test_radius_of_frictionless_fingers_in_closed_form() -> None:
+    """Four frictionless fingers an axis, which push and turn: the wrench space is made of three squares."""
     contacts = []
     for i in range(3):
         along, arm = np.eye(3)[i], np.eye(3)[(i + 1) % 3]
         for sign, side in itertools.product((1.0, -1.0), repeat=2):
             contacts.append(Contact(side * arm - sign * along, sign * along, friction=0.0))
-    # each wrench is (± e_i, ± e_k): forces and torques pair off, so the gauge is the sum over the axes of max(|f_i|, |t_k|)
+    # each wrench is (± e_i, ± e_k): forces and torques pair off, and the gauge is the sum over i of max(|f_i|, |t_k|)
     assert largest_min_resisted_wrench(contacts, np.zeros(3)) == pytest.approx(1.0 / np.sqrt(3.0), abs=1e-12)
     assert largest_min_resisted_wrench(contacts, np.zeros(3), "independent") == pytest.approx(np.sqrt(2.0), abs=1e-12)
 

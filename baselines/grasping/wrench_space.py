@@ -77,8 +77,8 @@ def largest_scale(space: WrenchSpace, task: Task = UNIT_BALL, enough: float = np
         enough: stop as soon as k is known to be above this, and return a lower bound.
 
     Returns:
-        k, exact to 1e-10 of the largest wrench (over the task's size), except where contacts are nearly, not exactly, symmetric:
-        there to the tolerance that kept the hull whole, at worst 1e-7. Infinity where the task is zero.
+        k, exact to 1e-10 of the largest wrench (over the task's size), except where contacts are nearly, but not
+        exactly, symmetric: there to the tolerance that kept the hull whole, at worst 1e-7. Infinity for a zero task.
 
     Raises:
         RuntimeError: rounding spoilt the hull at every tolerance.
