@@ -76,15 +76,15 @@ def test_nodes_on_the_surface_and_several_pieces():
 
 
 def test_surfaces_without_an_end_or_that_do_not_exist_say_so():
-    points, normals = sphere(20)
+    points, _ = sphere(20)
     endless = GPIS(SquaredExponential(0.03, 1e-4), Cylinder(0.1)).fit(0.1 * np.eye(3)[:2], np.eye(3)[:2])
-    with pytest.raises(SurfaceError, match="at most 3000 cells.*may be open"):
+    with pytest.raises(SurfaceError, match=r"at most 3000 cells.*may be open"):
         endless.surface(0.01, max_cells=3000)
     plane = GPIS(SquaredExponential(0.05, 1e-4), Plane()).fit([[0.0, 0, 0]], [[0.0, 0, 1]])
     with pytest.raises(SurfaceError, match="may be open"):
         plane.surface(0.01, max_cells=3000)
     nowhere = GPIS(SquaredExponential(0.01, 1e-6), Constant(1.0), noise=0.5).fit(points)
-    with pytest.raises(SurfaceError, match="within 3 cells .* got none"):
+    with pytest.raises(SurfaceError, match=r"within 3 cells .* got none"):
         nowhere.surface(0.01)
 
 

@@ -252,8 +252,8 @@ class GPIS:
         """Mesh of {mean = sigma · standard deviation}, followed from the data: (N, 3) points only.
 
         sigma = 0 is the estimated surface. A shell of sigma > 0 encloses the object with confidence, one of sigma < 0
-        is enclosed by it. Pieces that no data is near are left out. The mesh is watertight with outward normals where the level set is closed; `metadata["evaluated"]` counts
-        the points at which the process was evaluated.
+        is enclosed by it. Pieces that no data is near are left out. The mesh is watertight with outward normals where
+        the level set is closed; `metadata["evaluated"]` counts the points at which the process was evaluated.
 
         Args:
             resolution: edge of a cell [m].
