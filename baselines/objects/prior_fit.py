@@ -89,7 +89,8 @@ def fit_ellipsoid(
     if not max_ratio >= 1.0:
         raise ValueError(f"max_ratio: expected a ratio ≥ 1, got {max_ratio}")
     cloud = _cloud(points, normals, viewpoint, 4)
-    across = None if cloud.sight is None else _complement(cloud.sight)  # (2, 3)
+    sight = cloud.sight
+    across = None if sight is None else _complement(sight)  # (2, 3)
     outward, reach, half_extent = _outline(cloud, across)
 
     def residuals(theta: Array) -> Array:
@@ -107,8 +108,8 @@ def fit_ellipsoid(
         squares = vectors * axes[:, None] ** 2 @ turned  # A⁻¹: an ellipsoid reaches cᵀu + √(uᵀA⁻¹u) along u
         reached = centres @ outward.T + np.sqrt(np.einsum("ki,bij,kj->bk", outward, squares, outward))
         parts.append((reached - reach) / (OUTLINE_ERROR * half_extent))
-        if across is not None:
-            depth = 0.5 * np.log(np.einsum("i,bij,j->b", cloud.sight, squares, cloud.sight))
+        if sight is not None and across is not None:
+            depth = 0.5 * np.log(np.einsum("i,bij,j->b", sight, squares, sight))
             small, large = 0.5 * np.log(np.linalg.eigvalsh(across @ squares @ across.T)).T
             gap = large - small  # of nearly equal extents the mean, lest noise make the object flat
             lateral = small + 0.5 * gap * np.exp(-((gap / ALIKE) ** 2))
