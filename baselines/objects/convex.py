@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import coacd
 import numpy as np
 import trimesh
 
@@ -26,6 +25,8 @@ def convex_pieces(mesh: MeshObject, threshold: float = 0.05, seed: int = 0) -> t
     """
     if not 0.0 < threshold <= 1.0:
         raise ValueError(f"threshold: expected a concavity in (0, 1], got {threshold}")
+    import coacd  # which takes a while to load
+
     coacd.set_log_level("error")
     parts = coacd.run_coacd(coacd.Mesh(mesh.vertices, mesh.faces), threshold=threshold, seed=seed)
     if not parts:

@@ -241,6 +241,12 @@ class MeshObject:
         distance = np.linalg.norm(self.closest(p)[0] - p, axis=1)
         return np.where(self.contains(p), -distance, distance)
 
+    def convex_pieces(self, threshold: float = 0.05, seed: int = 0) -> tuple[MeshObject, ...]:
+        """See `convex.convex_pieces`."""
+        from baselines.objects.convex import convex_pieces  # which makes its pieces with this class
+
+        return convex_pieces(self, threshold, seed)
+
     def transform(self, T: ArrayLike) -> MeshObject:
         """The mesh in another frame: T (4, 4) rigid, maps this frame's coordinates to the new one's."""
         vertices = transform_points(T, self.vertices)

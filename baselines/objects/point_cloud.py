@@ -278,6 +278,13 @@ class PointCloudObject:
             group_means(self.points, group, count), normals, colors, noise, self.viewpoint, curvature
         )
 
+    def voxel_representatives(self, size: float) -> NDArray[np.int64]:
+        """Index of the point nearest to the mean of each occupied voxel of edge `size` [m]."""
+        group, count = voxel_groups(self.points, size)
+        gap = np.linalg.norm(self.points - group_means(self.points, group, count)[group], axis=1)
+        order = np.lexsort((gap, group))
+        return np.sort(order[np.unique(group[order], return_index=True)[1]])
+
     def farthest_point_sample(self, n: int, rng: np.random.Generator | None = None) -> PointCloudObject:
         """n points, each the farthest from those before it; the first is drawn from rng, or is the cloud's first."""
         first = 0 if rng is None else int(rng.integers(len(self)))
