@@ -60,6 +60,23 @@ def reference_radius(points: np.ndarray) -> float:
     return max(0.0, float(-ConvexHull(points).equations[:, 6].max()))
 
 
+def joggled_hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Qhull's facets, as simplices and planes; in another frame where it had to joggle the points by more than 1e-9."""
+    best: tuple[float, np.ndarray, np.ndarray] | None = None
+    for seed in range(8):
+        R = np.linalg.qr(np.random.default_rng(seed).normal(size=(6, 6)))[0]
+        hull = ConvexHull(points @ R.T, qhull_options="QJ")
+        planes = np.column_stack([hull.equations[:, :6] @ R, hull.equations[:, 6]])
+        nearest = planes[planes[:, 6].argsort()[-60:]]
+        error = float(np.abs((nearest[:, :6] @ points.T).max(axis=1) + nearest[:, 6]).max())
+        if best is None or error < best[0]:
+            best = error, hull.simplices, planes
+        if error < 1e-9 * np.abs(points).max():
+            break
+    assert best is not None
+    return best[1], best[2]
+
+
 def bracketed_radius(contacts: list[Contact], center: np.ndarray, edges: int, scale: float) -> tuple[float, float]:
     """Bounds on the radius in the "independent" model, where the Minkowski sum has too many points to list.
 
@@ -75,12 +92,16 @@ def bracketed_radius(contacts: list[Contact], center: np.ndarray, edges: int, sc
     directions = np.random.default_rng(0).normal(size=(60, 6))
     points, above = np.unique(farthest(np.concatenate([directions, -directions])), axis=0), np.inf
     for _ in range(100):
-        planes = ConvexHull(points, qhull_options="QJ").equations
+        simplices, planes = joggled_hull(points)
         order = planes[:, 6].argsort()[::-1]
         below = -planes[order[0], 6]
-        nearest = planes[order[-planes[order, 6] < above][:60], :6]
-        if not len(nearest):
+        order = order[-planes[order, 6] < above + 1e-9][:60]
+        if not len(order):
             break
+        corners = points[simplices[order]]  # of which the planes are tilted by the joggling: take them anew
+        exact = np.linalg.svd(corners[:, 1:] - corners[:, :1])[2][:, -1]
+        exact *= np.sign(np.einsum("ij,ij->i", exact, planes[order, :6]))[:, None]
+        nearest = np.concatenate([planes[order, :6], exact])
         new = farthest(nearest)
         above = min(above, float(np.einsum("ij,ij->i", new, nearest).min()))
         if above - below < 5e-10 or above < 1e-9:
