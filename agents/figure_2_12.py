@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from baselines.objects import (
     merge_model,
 )
 
-SHAPES = {"box": box, "bottle": bottle, "mug": mug}
+SHAPES: dict[str, Callable[[], trimesh.Trimesh]] = {"box": box, "bottle": bottle, "mug": mug}
 VIEWS = 24
 VALIDATION = 12
 NOISE, TURN = 1e-3, 0.05  # of the observed points [m] and normals
@@ -39,8 +40,8 @@ FIXED = (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2)  # σ [m]
 VARYING = tuple(product((1e-3, 2e-3, 4e-3, 8e-3), (0.02, 0.04, 0.08)))  # σ_align [m], l [m]
 
 NOTES = """\
-{views} single views of procedural boxes, bottles and mugs, self-occlusion included; the model is the truth with each
-axis scaled (σ {scale:.0%}), placed by point-to-plane ICP from a pose off by some 8° and 8 mm. Chamfer: mean of both mean
+{views} single views of procedural boxes, bottles and mugs, self-occlusion included; the model is the truth, each axis
+scaled (σ {scale:.0%}), placed by point-to-plane ICP from a pose off by some 8° and 8 mm. Chamfer: mean of both mean
 nearest distances between true and found surface. Chosen on {validation} other views by it: fixed σ = {fixed:g} mm (of
 {fixed_grid}), varying σ_align = {sigma:g} mm, l = {length:g} mm (of {varying_count} pairs).
 The prior mean is an ellipsoid fitted to the model, the same for both; without model: observations and a constant of

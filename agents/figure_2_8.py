@@ -27,7 +27,7 @@ NOISE, TURN = 5e-4, 0.03  # of the observed points [m] and normals
 WITHIN = 0.1
 
 NOTES = """\
-{apples} procedural apples (superellipses of revolution with dents, radius 28 to 46 mm), each seen on one side of a plane
+{apples} procedural apples (superellipses of revolution with dents, radius 28 to 46 mm), seen on one side of a plane
 through its middle, {points} points with normals. Length scale, and the constant prior's level, were chosen on
 {validation} other apples by the mean volume error: ellipsoid {ellipsoid}, constant {constant}.
 "Best level": for each apple the level, out of {levels},

@@ -5,8 +5,8 @@ points enter the process with the standard deviation
 
     σ(x_i) = min(σ_align · exp(min_j ‖x_i − x_j^observed‖ / l), σ_max).
 
-Source: thesis section 2.2.4 and eq. 2.12, which leaves out the length l; without a bound σ would soon exceed every
-length of the object, and far points would count for nothing.
+Source: thesis eq. 2.12 and figures 2.10 to 2.12. The text leaves out the length l; and without a bound σ would soon
+exceed every length of the object, and far points would count for nothing.
 """
 
 from typing import NamedTuple, TypeVar

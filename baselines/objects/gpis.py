@@ -285,11 +285,10 @@ class GPIS:
         for _ in range(iterations):
             slope = self.predict(x, gradient=True).gradient
             assert slope is not None
-            squared = np.maximum((slope**2).sum(axis=1), np.finfo(np.float64).tiny)
-            move = -(level(x) / squared)[:, None] * slope
-            length = np.linalg.norm(move, axis=1, keepdims=True)
-            x = x + move * np.minimum(1.0, step / np.maximum(length, np.finfo(np.float64).tiny))
-            if (length < 0.5 * step).all():
+            steepness = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)  # flat where the data does not reach
+            distance = level(x) / steepness
+            x = x - (np.clip(distance, -step, step) / steepness)[:, None] * slope
+            if (np.abs(distance) < 0.5 * step).all():
                 break
         return x
 
