@@ -195,7 +195,7 @@ def _picture(seen: list[View], methods: dict[str, tuple[float | None, float]], s
     """Sections through the first view of each shape, and the paired distances."""
     figure, axes = figure_grid(1, len(SHAPES) + 1, (13.0, 4.0))
     colors = {"varying noise": "#1f77b4", "fixed noise": "#d98a1f", "without model": "#999999"}
-    for axis, item in zip(axes, seen, strict=False):
+    for axis, item in zip(axes[:-1], seen, strict=False):
         middle = item.truth.bounds.mean(axis=0)
         axis.set(title=item.shape, aspect="equal", xlabel="x [mm]", ylabel="z [mm]")
         meshes = {name: reconstruct(item, *settings)[1] for name, settings in methods.items()}

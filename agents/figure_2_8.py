@@ -159,7 +159,7 @@ def _picture(seen: Half, scale: float, constant_scale: float, level: float) -> b
     FigureCanvasAgg(figure)
     toward = seen.normals.mean(axis=0)  # looked at from the side, the seen half on the right
     azimuth = np.degrees(np.arctan2(toward[1], toward[0])) - 75.0
-    reach = 0.8 * np.abs(seen.mesh.vertices).max()
+    reach = 1.0 * np.abs(seen.mesh.vertices).max()
     for i, (title, mesh) in enumerate(shapes, 1):
         axis: Any = figure.add_subplot(1, 3, i, projection="3d")
         if mesh is not None:
