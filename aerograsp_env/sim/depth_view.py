@@ -1,0 +1,257 @@
+"""What a depth camera sees of an object from one side: noisy points, normals estimated from them, and their noise.
+
+Rays meet exactly the surface of the union of the object's convex pieces (`mujoco.mj_multiRay`; no OpenGL).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.sim.grasp_scene import OBJECT_GROUP, grasp_model
+from aerograsp_env.sim.gripper import GripperConfig
+from aerograsp_env.sim.objects import GraspObject
+
+Array = NDArray[np.float64]
+
+_PATCH = 0.006  # [m] half the side of the patch that a normal is fitted to
+_WINDOW = 4  # pixels of it that are used on either side of the middle
+_MARGIN = 1.02  # of the picture around the object
+_NOISE_DISTANCE = 0.5  # [m] at which `sigma_quadratic` is reached
+
+
+@dataclass(frozen=True)
+class DepthCameraConfig:
+    """The depth camera, its noise, and what may stand in its way.
+
+    The noise of the depth z is normal with σ_z = sigma + sigma_quadratic · (z / 0.5 m)², the axial law of structured
+    light and stereo (Khoshelham and Elberink 2012). Surfaces seen at a grazing angle return nothing: always beyond
+    `grazing_limit` from their normal, with a chance that grows linearly from `grazing_start` on.
+
+    Raises:
+        ValueError: a value out of its range.
+    """
+
+    width: int = 160  # [px] of the crop around the object
+    height: int = 120
+    distance: float = 0.5  # [m] from the object's middle
+    sigma: float = 0.0005  # [m]
+    sigma_quadratic: float = 0.0015  # [m]
+    grazing_start: float = math.radians(70.0)
+    grazing_limit: float = math.radians(86.0)
+    occluded_probability: float = 0.25
+    occluded_fraction: tuple[float, float] = (0.2, 0.4)  # of what is seen, when something hides one side
+
+    def __post_init__(self) -> None:
+        low, high = self.occluded_fraction
+        for name, fits, expected in (
+            ("width", 16 <= self.width <= 1024, "16 to 1024 px"),
+            ("height", 16 <= self.height <= 1024, "16 to 1024 px"),
+            ("distance", 0.3 <= self.distance <= 0.8, "0.3 to 0.8 m"),
+            ("sigma", 0.0 <= self.sigma <= 0.02, "0 to 0.02 m"),
+            ("sigma_quadratic", 0.0 <= self.sigma_quadratic <= 0.005, "0 to 0.005 m"),
+            ("grazing_start", 0.0 < self.grazing_start < self.grazing_limit, "0 < grazing_start < grazing_limit"),
+            ("grazing_limit", self.grazing_limit <= 0.5 * math.pi, "at most π/2 rad"),
+            ("occluded_probability", 0.0 <= self.occluded_probability <= 1.0, "0 to 1"),
+            ("occluded_fraction", 0.0 <= low <= high <= 0.8, "0 ≤ low ≤ high ≤ 0.8"),
+        ):
+            if not fits:
+                raise ValueError(f"{name}: expected {expected}, got {getattr(self, name)!r}")
+
+    def scaled(self, factor: float) -> DepthCameraConfig:
+        """With `factor` times the noise."""
+        kept = {f.name: getattr(self, f.name) for f in fields(self)}
+        return DepthCameraConfig(
+            **{**kept, "sigma": factor * self.sigma, "sigma_quadratic": factor * self.sigma_quadratic}
+        )
+
+
+class PartialView(NamedTuple):
+    """What was seen. The frame has the world's axes (z up) and its origin at the mean of the points."""
+
+    points: Array  # (N, 3) [m]
+    normals: Array  # (N, 3) unit, towards the camera, estimated
+    noise: Array  # (N,) [m] standard deviation of each point along its viewing ray
+    viewpoint: Array  # (3,) [m] where the camera stands
+    distinct: int  # how many of the points are
+    T_cloud_object: Array  # (4, 4) the truth
+
+
+class _Pixels(NamedTuple):
+    """The seen pixels of a depth picture."""
+
+    points: Array  # (H, W, 3) [m] with noise; what is not seen is NaN
+    seen: NDArray[np.bool_]  # (H, W)
+    sigma: Array  # (H, W) [m] along the ray
+    pitch: float  # [m] between pixels at the object's middle
+
+
+def middle_and_radius(item: GraspObject) -> tuple[Array, float]:
+    """Middle of the object's bounding box (3,) and the distance of its farthest vertex [m], in its frame."""
+    middle = 0.5 * (item.vertices.min(axis=0) + item.vertices.max(axis=0))
+    return middle, float(np.linalg.norm(item.vertices - middle, axis=1).max())
+
+
+def partial_view(
+    item: GraspObject,
+    R_world_object: Array,
+    direction: Array,
+    count: int,
+    camera: DepthCameraConfig,
+    rng: np.random.Generator,
+    occluded: bool | None = None,
+    gripper: GripperConfig | None = None,
+) -> PartialView:
+    """Look at an object and sample `count` points of what is seen.
+
+    Args:
+        R_world_object: (3, 3) how it lies.
+        direction: (3,) unit, world, from the object's middle to the camera.
+        occluded: whether something hides one side; None to leave it to chance.
+        gripper: only which compiled model of the object is used.
+
+    Raises:
+        ValueError: an object so large that the camera would stand in it, or of which nothing can be seen.
+    """
+    middle, radius = middle_and_radius(item)
+    if radius > 0.8 * camera.distance:
+        raise ValueError(
+            f"object: expected one within {0.8 * camera.distance:.2f} m of its middle, {item.name!r} reaches "
+            f"{radius:.3g} m (is its mesh in millimetres?)"
+        )
+    pixels, position = _look(item, R_world_object, middle, radius, direction, camera, rng, gripper or GripperConfig())
+    if occluded is None:
+        occluded = bool(rng.random() < camera.occluded_probability)
+    seen = _hide_one_side(pixels.seen, camera, rng) if occluded else pixels.seen
+    seen = _without_specks(seen)
+    rows = np.flatnonzero(seen)
+    if rows.size < 3:
+        raise ValueError(f"object: nothing of {item.name!r} is seen from {np.round(direction, 3).tolist()}")
+    distinct = min(count, rows.size)
+    chosen = rng.choice(rows, distinct, replace=False)
+    if distinct < count:
+        chosen = np.concatenate([chosen, rng.choice(rows, count - distinct)])
+    points = pixels.points.reshape(-1, 3)[chosen]
+    normals = _fit_normals(pixels, seen, chosen, points, position)
+    origin = points.mean(axis=0)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R_world_object, -R_world_object @ middle - origin
+    return PartialView(points - origin, normals, pixels.sigma.ravel()[chosen], position - origin, distinct, T)
+
+
+def _look(
+    item: GraspObject,
+    R_world_object: Array,
+    middle: Array,
+    radius: float,
+    direction: Array,
+    camera: DepthCameraConfig,
+    rng: np.random.Generator,
+    gripper: GripperConfig,
+) -> tuple[_Pixels, Array]:
+    """The depth picture as points about the object's middle with the world's axes, and the camera's position."""
+    position = camera.distance * direction
+    R = look_at(-direction)
+    focal = 0.5 * camera.height / math.tan(math.asin(radius / camera.distance)) / _MARGIN
+    x = (np.arange(camera.width) + 0.5 - 0.5 * camera.width) / focal
+    y = (np.arange(camera.height) + 0.5 - 0.5 * camera.height) / focal
+    local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
+    rays = local @ R.T  # (H, W, 3) of length 1 along the optical axis: ray parameters are depths
+    # Only what points at the bounding sphere is cast.
+    square = np.einsum("ijk,ijk->ij", rays, rays)
+    along = -(rays @ position)
+    cast = np.flatnonzero(camera.distance**2 - along**2 / square < radius**2)
+    depth, normal = _cast(
+        item, gripper, R_world_object.T @ position + middle, rays.reshape(-1, 3)[cast] @ R_world_object
+    )
+    hit = np.isfinite(depth)
+    length = np.sqrt(square.ravel()[cast])
+    cosine = np.abs(np.einsum("ij,ij->i", normal, rays.reshape(-1, 3)[cast] @ R_world_object)) / length
+    angle = np.arccos(np.minimum(cosine, 1.0))
+    lost = (angle - camera.grazing_start) / (camera.grazing_limit - camera.grazing_start)
+    hit &= rng.random(len(cast)) >= lost
+    safe = np.where(hit, depth, 1.0)
+    sigma_z = camera.sigma + camera.sigma_quadratic * (safe / _NOISE_DISTANCE) ** 2
+    noisy = safe + sigma_z * rng.standard_normal(len(cast))
+    shape = (camera.height, camera.width)
+    points, seen, sigma = np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.zeros(shape)
+    points.reshape(-1, 3)[cast] = np.where(hit, noisy, np.nan)[:, None] * rays.reshape(-1, 3)[cast] + position
+    seen.ravel()[cast] = hit
+    sigma.ravel()[cast] = sigma_z * length
+    return _Pixels(points, seen, sigma, camera.distance / focal), position
+
+
+def look_at(forward: Array) -> Array:
+    """(3, 3) R_world_camera (OpenCV: x right, y down, z forward) of an upright camera that looks along `forward`."""
+    side = np.array([forward[1], -forward[0], 0.0])
+    length = float(np.linalg.norm(side))
+    side = side / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])  # straight up or down: any heading
+    return np.stack([side, np.cross(forward, side), forward], axis=1)
+
+
+def _cast(item: GraspObject, gripper: GripperConfig, origin: Array, rays: Array) -> tuple[Array, Array]:
+    """Depth (M,), infinite for a miss, and true normal (M, 3), all in the object's frame."""
+    model = grasp_model(item, gripper)
+    data = mujoco.MjData(model)
+    data.joint("object").qpos[:] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    mujoco.mj_kinematics(model, data)
+    groups = np.zeros(mujoco.mjNGROUP, dtype=np.uint8)
+    groups[OBJECT_GROUP] = 1
+    count = len(rays)
+    geom, depth, normal = np.empty(count, np.int32), np.empty(count), np.empty((count, 3))
+    mujoco.mj_multiRay(
+        *(model, data, origin, np.ascontiguousarray(rays).ravel(), groups, True, -1),
+        *(geom, depth, normal.ravel(), count, mujoco.mjMAXVAL),
+    )
+    return np.where(geom >= 0, depth, np.inf), np.where(geom[:, None] >= 0, normal, 0.0)
+
+
+def _hide_one_side(seen: NDArray[np.bool_], camera: DepthCameraConfig, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Without the pixels beyond a line across the picture."""
+    angle = rng.uniform(0.0, 2.0 * math.pi)
+    fraction = rng.uniform(*camera.occluded_fraction)
+    row, column = np.indices(seen.shape)
+    along: Array = math.cos(angle) * column.astype(np.float64) + math.sin(angle) * row
+    if not seen.any():
+        return seen
+    return np.logical_and(seen, along <= np.quantile(along[seen], 1.0 - fraction))
+
+
+def _without_specks(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Without pixels that fewer than three of their eight neighbours stand by: no plane fits to those."""
+    padded: NDArray[np.int8] = np.pad(seen, 1).astype(np.int8)
+    rows: NDArray[np.int8] = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.logical_and(seen, rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:] > 3)
+
+
+def _fit_normals(
+    pixels: _Pixels, seen: NDArray[np.bool_], chosen: NDArray[np.intp], points: Array, position: Array
+) -> Array:
+    """Normals (N, 3) of the planes fitted to the patches around the chosen pixels, towards the camera.
+
+    Neighbours much farther or nearer than the pixel belong to another surface and are left out.
+    """
+    height, width = seen.shape
+    step = np.arange(-_WINDOW, _WINDOW + 1) * max(1, round(_PATCH / (_WINDOW * pixels.pitch)))
+    row, column = np.divmod(chosen, width)
+    rows = row[:, None, None] + step[:, None]
+    columns = column[:, None, None] + step
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    index = np.where(inside, rows * width + columns, 0).reshape(len(chosen), -1)
+    near = inside.reshape(len(chosen), -1) & seen.ravel()[index]
+    offsets = pixels.points.reshape(-1, 3)[index] - points[:, None]
+    offsets = np.where(near[..., None], offsets, 0.0)
+    limit = 4.0 * pixels.sigma.ravel()[chosen] + 2.0 * abs(step[0]) * pixels.pitch
+    near &= np.einsum("ijk,ijk->ij", offsets, offsets) < limit[:, None] ** 2
+    weight = near.astype(np.float64)[..., None]
+    total = weight.sum(axis=1)
+    offsets = (offsets - (offsets * weight).sum(axis=1, keepdims=True) / total[:, None]) * weight
+    _, axes = np.linalg.eigh(offsets.transpose(0, 2, 1) @ offsets)
+    normals = axes[:, :, 0]
+    facing = np.einsum("ij,ij->i", normals, position - points)
+    return np.where(facing[:, None] < 0.0, -normals, normals)
