@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.interfaces import Grasp
 from aerograsp_env.sim.gripper import GripperConfig
-from baselines.grasping.antipodal import closing_angles
+from baselines.grasping.antipodal import closing_angles, line_distance
 from baselines.grasping.clearance import PALM, swept_boxes
 from baselines.grasping.contacts import Array, finite
 
@@ -204,9 +204,13 @@ def assemble(
     score: Array,
     reasons: Mapping[str, int],
     counts: Mapping[str, int],
+    center: Array,
     score_error: Array | None = None,
 ) -> GraspCandidates:
-    """What `GraspSearch.place` found, best first; scores and their errors are per pair (P,)."""
+    """What `GraspSearch.place` found, best first; scores and their errors are per pair (P,).
+
+    Scores that are equal (to 1e-9) are ordered by the distance of the closing line from `center` (3,), nearest first.
+    """
     rows, closing, approach, opening = placed
     error = np.zeros(len(score)) if score_error is None else score_error
     found = GraspCandidates(
@@ -221,4 +225,5 @@ def assemble(
         reasons,
         counts,
     )
-    return found.take(np.argsort(-found.score, kind="stable"))
+    arm = np.round(line_distance(found.positions, center), 9)
+    return found.take(np.lexsort((arm, -np.round(found.score, 9))))

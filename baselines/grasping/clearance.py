@@ -69,16 +69,21 @@ def _first_point_hit(points, rotations, centers, boxes):
             for i in range(3):
                 lower[i] = min(lower[i], boxes[g, k, i])
                 upper[i] = max(upper[i], boxes[g, k, 3 + i])
+        left, right, palm = -np.inf, np.inf, boxes[g, 4, 5]  # between left and right there is only the palm
+        for k in range(boxes.shape[1]):
+            if k != 4 and boxes[g, k, 0] + boxes[g, k, 3] < 0.0:
+                left = max(left, boxes[g, k, 3])
+            elif k != 4:
+                right = min(right, boxes[g, k, 0])
         r = rotations[g]
         for n in range(len(points)):
             x, y, z = points[n, 0] - centers[g, 0], points[n, 1] - centers[g, 1], points[n, 2] - centers[g, 2]
-            v = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-            if v <= lower[1] or v >= upper[1]:
-                continue
-            w = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
-            if w <= lower[2] or w >= upper[2]:
-                continue
             u = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+            v = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+            w = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+            near = (v > lower[1]) & (v < upper[1]) & (w > lower[2]) & (w < upper[2])
+            if not near & ((w < palm) | (u < left) | (u > right)):  # one branch: each by itself is a coin toss
+                continue
             for k in range(boxes.shape[1]):
                 b = boxes[g, k]
                 if b[0] < u and u < b[3] and b[1] < v and v < b[4] and b[2] < w and w < b[5]:
@@ -98,7 +103,7 @@ def point_collisions(points: Array, rotations: Array, centers: Array, boxes: Arr
         points: (N, 3) [m].
         rotations: (G, 3, 3) R_a_gripper.
         centers: (G, 3) gripper's origin in the points' frame [m].
-        boxes: (G, K, 6) see `swept_boxes`.
+        boxes: (G, 7, 6) see `swept_boxes`.
     """
     arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (points, rotations, centers, boxes))
     return np.asarray(_first_point_hit(*arrays))

@@ -131,4 +131,4 @@ def grasps_on_cloud(
     pairs, margin = search.eligible(all_pairs, reasons)
     placed = search.place(pairs, lambda *bodies: point_collisions(body, *bodies), reasons)
     counts = {"rays": n_rays, "crossings": crossings, "pairs": len(all_pairs.positions)}
-    return assemble(pairs, placed, margin, reasons, counts)
+    return assemble(pairs, placed, margin, reasons, counts, p.mean(axis=0))

@@ -114,8 +114,9 @@ def grasps_on_mesh(
 ) -> GraspCandidates:
     """Grasps of a parallel-jaw gripper on a watertight mesh, in the mesh's frame; scored by the friction to spare.
 
-    The score is the friction angle less the larger angle between the closing line and the normals [rad]. Contacts are
-    exact; whether the gripper has room is exact up to `clearance.TOLERANCE` for flat boxes moving straight.
+    The score is the friction angle less the larger angle between the closing line and the normals [rad]; equal ones are
+    ordered by the distance of the closing line from the centre of mass. Contacts are exact. Whether the gripper has room
+    is exact, up to `clearance.TOLERANCE`, for flat boxes moving straight.
 
     Args:
         mesh: a `MeshObject`, a `trimesh.Trimesh`, a `GraspObject`, or (vertices, faces); metres.
@@ -158,7 +159,7 @@ def grasps_on_mesh(
     if not folds:
         note(reasons, {"ray missed": n_rays})
     counts = {"rays": n_rays, "folds": folds, "pairs": len(all_pairs.positions)}
-    found = assemble(pairs, placed, margin, reasons, counts)
+    found = assemble(pairs, placed, margin, reasons, counts, mesh.center_of_mass)
     if cache is not None:
         cache.store(key, found)
     return found
