@@ -32,6 +32,9 @@ class GraspScorer(nn.Module):
         layout: the sizes.
     """
 
+    context_mean: Tensor  # (F,) of the training's grasps
+    context_scale: Tensor  # (F,)
+
     def __init__(self, layout: ScorerLayout) -> None:
         super().__init__()
         self.layout = layout

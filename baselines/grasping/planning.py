@@ -1,0 +1,205 @@
+"""From one view of an object to ranked grasps: prior, implicit surface, centre of mass, candidates, ranking.
+
+Ramon Soria 2018, sections 2.3 and 2.4. The thesis ranks by the probability of force closure; how far a grasp is from
+the centre of mass decides as much about whether the object turns in the fingers or slips out, so both count here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from aerograsp_env.interfaces import Grasp
+from aerograsp_env.sim.gripper import GripperConfig
+from baselines.grasping.antipodal import closing_angles, line_distance
+from baselines.grasping.candidates import GraspCandidates
+from baselines.grasping.contacts import Array
+from baselines.grasping.on_gpis import grasps_on_gpis
+from baselines.objects import GPIS, Constant, Prior, SquaredExponential, fit_ellipsoid
+from baselines.objects.sampling import farthest_point_indices
+
+CONTEXT = (
+    "pfc",
+    "closing_angle",
+    "line_distance",
+    "centre_distance",
+    "width",
+    "deviation_first",
+    "deviation_second",
+    "unseen_first",
+    "unseen_second",
+    "approach_to_view",
+    "closing_to_view",
+    "approach_to_up",
+    "closing_to_up",
+    "size",
+    "slenderness",
+)
+"""What is known of a candidate beside the points, in the order of `Proposals.context`."""
+
+_LATTICE = 1500  # nodes at which it is asked what is inside, for the centre of mass
+
+
+@dataclass(frozen=True)
+class PlannerConfig:
+    """Settings of the planner; lengths in sizes of the object, which is the root mean square distance of the seen
+    points from their centroid.
+
+    Raises:
+        ValueError: a value that is not positive, or an unknown prior.
+    """
+
+    prior: Literal["ellipsoid", "constant"] = "ellipsoid"
+    points: int = 130  # of the cloud, evenly spread
+    length_scale: float = 0.9
+    deviation: float = 0.25  # of the surface about the prior
+    level: float = 0.5  # of the constant prior
+    normal_noise: float = 0.15  # of each component
+    starts: int = 140
+    samples: int = 150
+    reach: float = 0.015  # [m] from the centre of mass at which the preference has fallen to e^−1/2
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name == "prior":
+                if value not in ("ellipsoid", "constant"):
+                    raise ValueError(f"prior: expected 'ellipsoid' or 'constant', got {value!r}")
+            elif not 0.0 < value < math.inf:
+                raise ValueError(f"{field.name}: expected a positive value, got {value!r}")
+
+
+class ObjectEstimate(NamedTuple):
+    """What one view says of an object."""
+
+    model: GPIS
+    center: Array  # (3,) [m] centre of mass at uniform density
+    axes: Array  # (3,) [m] semi-axes of the fitted ellipsoid, ascending
+    points: Array  # (n, 3) [m] that the model was fitted to
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """G candidate grasps, best first."""
+
+    candidates: GraspCandidates
+    pfc: Array  # (G,) probability of force closure
+    score: Array  # (G,) what they are ranked by
+    context: Array  # (G, F), see `CONTEXT`
+    estimate: ObjectEstimate
+
+    def __len__(self) -> int:
+        return len(self.candidates)
+
+    def grasp(self, index: int) -> Grasp:
+        """One of them."""
+        c = self.candidates
+        return Grasp(c.centers[index], c.closing_axes[index], c.approach_axes[index], float(c.widths[index]))
+
+
+def estimate_object(
+    points: Array, normals: Array, noise: Array, viewpoint: Array, config: PlannerConfig
+) -> ObjectEstimate:
+    """Fit prior and implicit surface to a view.
+
+    Args:
+        points, normals: (N, 3) [m], and unit outward.
+        noise: (N,) standard deviation of each point [m].
+        viewpoint: (3,) [m].
+        config: settings.
+
+    Raises:
+        ValueError: points that are fewer than four, on a line, or otherwise unfit.
+    """
+    rows = farthest_point_indices(np.ascontiguousarray(points), min(config.points, len(points)), 0)
+    points, normals, noise = points[rows], normals[rows], noise[rows]
+    size = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if not size > 1e-4:
+        raise ValueError(f"points: expected some that are apart, got a spread of {size:.2g} m")
+    ellipsoid = fit_ellipsoid(points, normals, viewpoint).prior
+    prior: Prior = ellipsoid if config.prior == "ellipsoid" else Constant(config.level * size)
+    kernel = SquaredExponential(config.length_scale * size, (config.deviation * size) ** 2)
+    model = GPIS(kernel, prior, noise=1e-3, normal_noise=config.normal_noise).fit(points, normals, noise)
+    axes = np.sort(np.asarray(ellipsoid.axes, dtype=np.float64))
+    return ObjectEstimate(model, _centroid(model, points, float(axes[-1])), axes, points)
+
+
+def _centroid(model: GPIS, points: Array, reach: float) -> Array:
+    """Centroid of {f < 0} about the points, on a lattice; the points' own where nothing is inside."""
+    margin = min(reach, 0.5 * float(np.ptp(points, axis=0).max()))
+    lower, upper = points.min(axis=0) - margin, points.max(axis=0) + margin
+    spacing = float(np.prod(upper - lower) / _LATTICE) ** (1.0 / 3.0)
+    axes = [np.arange(low + 0.5 * spacing, high, spacing) for low, high in zip(lower, upper, strict=True)]
+    lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = model.predict(lattice).mean < 0.0
+    return lattice[inside].mean(axis=0) if inside.any() else points.mean(axis=0)
+
+
+def propose(
+    points: Array,
+    normals: Array,
+    noise: Array,
+    viewpoint: Array,
+    rng: np.random.Generator,
+    config: PlannerConfig | None = None,
+    gripper: GripperConfig | None = None,
+    friction: float | None = None,
+) -> Proposals:
+    """Grasps on what one view says of an object, ranked by closure and distance to the centre of mass.
+
+    Args:
+        points, normals, noise, viewpoint: as `estimate_object` has them.
+        rng: of the search's starts and samples.
+        config, gripper: defaults if None.
+        friction: Coulomb coefficient; None is the gripper's.
+
+    Raises:
+        ValueError: as `estimate_object`.
+    """
+    config = config or PlannerConfig()
+    gripper = gripper or GripperConfig()
+    estimate = estimate_object(points, normals, noise, viewpoint, config)
+    found = grasps_on_gpis(
+        estimate.model, gripper, config.starts, rng, estimate.center, friction, config.samples, approaches=8
+    )
+    pfc = np.asarray(found.score)
+    distance = line_distance(found.positions, estimate.center) if len(found) else np.empty(0)
+    # The direction from which the gripper comes matters little where it has room; straight from the viewer it is safe.
+    score = np.log(np.maximum(pfc, 1e-3)) - 0.5 * (distance / config.reach) ** 2
+    order = np.argsort(-score, kind="stable")
+    found = found.take(order)
+    context = _context(found, pfc[order], distance[order], estimate, viewpoint)
+    return Proposals(found, pfc[order], score[order], context, estimate)
+
+
+def _context(found: GraspCandidates, pfc: Array, distance: Array, estimate: ObjectEstimate, viewpoint: Array) -> Array:
+    if not len(found):
+        return np.empty((0, len(CONTEXT)))
+    contacts = found.positions.reshape(-1, 3)
+    unique, inverse = np.unique(contacts, axis=0, return_inverse=True)
+    variance = estimate.model.predict(unique, variance=True).variance
+    assert variance is not None
+    deviation = np.sqrt(variance)[inverse.ravel()].reshape(-1, 2)
+    apart = np.linalg.norm(unique[:, None] - estimate.points[None], axis=2).min(axis=1)
+    unseen = apart[inverse.ravel()].reshape(-1, 2)
+    sight = viewpoint - estimate.center
+    sight = sight / np.linalg.norm(sight)
+    columns = [
+        pfc,
+        closing_angles(found.positions, found.normals),
+        distance,
+        np.linalg.norm(found.centers - estimate.center, axis=1),
+        found.contact_widths,
+        *np.sort(deviation, axis=1).T,
+        *np.sort(unseen, axis=1).T,
+        found.approach_axes @ sight,
+        np.abs(found.closing_axes @ sight),
+        found.approach_axes[:, 2],
+        np.abs(found.closing_axes[:, 2]),
+        np.full(len(found), estimate.axes[1]),
+        np.full(len(found), estimate.axes[2] / estimate.axes[0]),
+    ]
+    return np.stack(columns, axis=1)
