@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Pieces = tuple[Convex, ...]
 
 SIDES = 24  # of whatever is round
+GRID = 9  # decimals of a coordinate [m]: faces that touch then touch exactly, and their union has no slit
 
 
 def hull(points: ArrayLike) -> Convex:
@@ -29,7 +30,7 @@ def hull(points: ArrayLike) -> Convex:
     Raises:
         ValueError: points that are not (N, 3), not finite, or lie in one plane.
     """
-    cloud = np.ascontiguousarray(points, dtype=np.float64)
+    cloud = np.round(np.ascontiguousarray(points, dtype=np.float64), GRID)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.isfinite(cloud).all():
         raise ValueError(f"points: expected finite points (N, 3), got shape {cloud.shape}")
     solid = manifold3d.Manifold.hull_points(cloud)
@@ -45,7 +46,7 @@ def moved(
     """Pieces turned about the origin by a rotation vector (3,) [rad], then translated (3,) [m]."""
     rotation = Rotation.from_rotvec(np.asarray(turn, dtype=np.float64)).as_matrix()
     parts = (pieces,) if isinstance(pieces, Convex) else pieces
-    return tuple(Convex(part.vertices @ rotation.T + np.asarray(translation), part.faces) for part in parts)
+    return tuple(hull(part.vertices @ rotation.T + np.asarray(translation)) for part in parts)
 
 
 def box(size: Sequence[float], center: ArrayLike = (0.0, 0.0, 0.0)) -> Convex:
