@@ -215,8 +215,8 @@ def _hide_one_side(seen: NDArray[np.bool_], camera: DepthCameraConfig, rng: np.r
     """Without the pixels beyond a line across the picture."""
     angle = rng.uniform(0.0, 2.0 * math.pi)
     fraction = rng.uniform(*camera.occluded_fraction)
-    row, column = np.indices(seen.shape)
-    along: Array = math.cos(angle) * column.astype(np.float64) + math.sin(angle) * row
+    grid = np.indices(seen.shape)  # rows, then columns
+    along = math.cos(angle) * grid[1] + math.sin(angle) * grid[0]
     if not seen.any():
         return seen
     return np.logical_and(seen, along <= np.quantile(along[seen], 1.0 - fraction))

@@ -140,6 +140,7 @@ class _Trial:
         self._T_cloud_object = check_transform(T_cloud_object, "T_cloud_object")
         self._rows: list[Array] = []  # (n, 12) qpos of the steps taken
         self._points = self._normals = np.zeros((0, 3))
+        self._retreat = 0.0  # [m] behind the grasp, where the approach ended
         if grasp is None or grasp.width > gripper.max_width:
             self._opening, self._T_cloud_gripper = gripper.max_width, np.eye(4)
             self.judgement = self._failed("degenerate" if grasp is None else "too wide")
@@ -156,11 +157,9 @@ class _Trial:
         self._place(0.0)
         if self._collides():
             return self._failed("collision")
-        touched = self._close()
-        if not any(touched):
-            return self._failed("missed")
-        if not touched[-1]:
-            return self._failed("slipped away")
+        ever, now = self._close()
+        if not now:
+            return self._failed("slipped away" if ever else "missed")
         self._read_contacts()
         closed = self._rows[-1][-1]
         held = self._load(closed)
@@ -191,6 +190,7 @@ class _Trial:
             self._place(float(retreat))
             mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_collision(self._model, self._data)
+            self._retreat = float(retreat)
             if self._data.ncon and self._data.contact.dist.min() < -config.penetration:
                 return True
         return False
@@ -211,15 +211,18 @@ class _Trial:
         control[:, 3:5] = self._gripper.force
         return control
 
-    def _close(self) -> list[bool]:
-        """Until the grip has settled; whether both fingers touch, at every chunk's end."""
-        touched: list[bool] = []
+    def _close(self) -> tuple[bool, bool]:
+        """Until the grip has settled; whether both fingers touched at any time, and whether they do at the end."""
         control = self._control(_CHUNK)
+        ever = before = False
         for _ in range(max(1, round(self._config.closing_time / (_CHUNK * TIMESTEP)))):
-            touched.append(bool(self._run(control)[-_TOUCH_STEPS:].any()))
-            if np.abs(self._data.qvel[3:5]).max() < _STILL and len(touched) > 1 and touched[-2] == touched[-1]:
+            touching = self._run(control)
+            now = bool(touching[-_TOUCH_STEPS:].any())
+            ever = ever or bool(touching.any())
+            if before == now and np.abs(self._data.qvel[3:5]).max() < _STILL:
                 break
-        return touched
+            before = now
+        return ever, now
 
     def _read_contacts(self) -> None:
         contact = self._data.contact
@@ -267,7 +270,7 @@ class _Trial:
             raise ValueError(f"grasp: expected one that can be tried, got one that is {self.judgement.outcome}")
         steps = round(0.5 / TIMESTEP)
         approach = np.zeros((steps, 12))
-        approach[:, 2] = -self._config.approach_distance * np.linspace(1.0, 0.0, steps)
+        approach[:, 2] = -np.linspace(self._config.approach_distance, self._retreat, steps)
         self._place(0.0)
         approach[:, 3:] = self._data.qpos[3:]
         qpos = np.concatenate([approach, *self._rows])
