@@ -14,6 +14,7 @@ COMMANDS = {
     "play": ("agents.play", "film an episode as GIF or MP4"),
     "tune": ("agents.tune", "find controller gains on training seeds"),
     "calibrate": ("agents.calibrate", "the sensors' noise against Table 5.3"),
+    "plan": ("agents.plan", "rank grasps on a mesh or a point cloud, and draw them in a page"),
     "reproduce": ("agents.reproduce", "a published table beside what this project measures"),
 }
 

@@ -27,11 +27,12 @@ _BOX_FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4]]
     + [[1, 5, 7], [1, 7, 3]]
 )
-_LIGHT = {"ambient": 0.62, "diffuse": 0.7, "specular": 0.12, "roughness": 0.85, "fresnel": 0.05}
+_LIGHT = {"ambient": 0.55, "diffuse": 0.75, "specular": 0.1, "roughness": 0.85, "fresnel": 0.05}
+_LIGHT.update(facenormalsepsilon=0.0, vertexnormalsepsilon=0.0)  # by default small faces count as having no normal
 
 STYLE = """<style>
 main { max-width: 82rem; padding-top: 2rem; }
-#plan { height: min(74vh, 52rem); min-height: 26rem; border: 1px solid var(--line); border-radius: 8px; }
+#plan { height: min(74vh, 52rem) !important; min-height: 26rem; border: 1px solid var(--line); border-radius: 8px; }
 .choose button { font: inherit; font-size: .86rem; color: var(--ink); background: var(--card); cursor: pointer;
   border: 1px solid var(--line); border-radius: 6px; padding: .2rem .8rem; margin-right: .3rem; }
 #grasps tbody tr { cursor: pointer; } #grasps tbody tr:hover td { background: var(--card); }
@@ -265,8 +266,8 @@ def _grasp_traces(
 
 
 def _camera(scene: Scene, grasps: Sequence[DrawnGrasp]) -> dict[str, Any]:
-    """From the side of the viewer, who sees what the sensor saw, or else obliquely from above."""
-    eye, up = np.array([1.5, -1.8, 1.0]), np.array([0.0, 0.0, 1.0])
+    """From the side of the viewer, who sees what the sensor saw; else across the best grasp, from behind its palm."""
+    toward, up, distance = np.array([1.5, -1.8, 1.0]), np.array([0.0, 0.0, 1.0]), 2.2
     if scene.viewpoint is not None and scene.points is not None:
         toward = scene.viewpoint - scene.points.mean(axis=0)
         toward = toward / np.linalg.norm(toward)
@@ -274,6 +275,11 @@ def _camera(scene: Scene, grasps: Sequence[DrawnGrasp]) -> dict[str, Any]:
             up = np.array([0.0, -1.0, 0.0])
         elif toward[2] > 0.7:
             up = np.array([0.0, 1.0, 0.0])
-        side = np.cross(up, toward)
-        eye = 2.4 * (toward + 0.35 * side + 0.25 * up) / np.linalg.norm(toward + 0.35 * side + 0.25 * up)
+        toward = toward + 0.35 * np.cross(up, toward) + 0.25 * up
+    elif grasps:
+        best = grasps[0].grasp
+        across = np.cross(best.approach_axis, best.closing_axis)
+        toward = (1.0 if across[2] >= 0.0 else -1.0) * across - 0.6 * best.approach_axis + 0.3 * best.closing_axis
+        toward = toward + 0.25 * up
+    eye = distance * toward / np.linalg.norm(toward)
     return {"eye": dict(zip("xyz", eye.tolist(), strict=True)), "up": dict(zip("xyz", up.tolist(), strict=True))}
