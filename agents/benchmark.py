@@ -3,8 +3,8 @@
 Finished rows are kept in the output folder (`agents.rows`), so an interrupted run goes on where it stopped.
 """
 
+import importlib
 import json
-import re
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -14,43 +14,42 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import gymnasium
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
+from agents.bench_setup import DOCK, SETUPS, setup_of
 from agents.files import writable_folder, write_atomic, write_json
-from agents.policies import (
-    LEARNED,
-    TRIVIAL,
-    PolicyUnavailable,
-    checkpoints,
-    env_spec,
-    registered_policies,
-    spaces,
-)
+from agents.policies import PolicyUnavailable, env_spec, spaces
 from agents.provenance import provenance
-from agents.report import write_report
+from agents.report import pairings, write_report
 from agents.rows import RowStore, load_all
 from agents.seeds import TEST_SEED
-from agents.table import Published, Row, best_row, table_data, table_text, with_pooled
+from agents.table import Row, best_row, table_data, table_text, with_pooled
 from agents.traces import Trace, trace
 
 if TYPE_CHECKING:
     from agents.robustness import Robustness
 
-DOCK = "aerograsp/Dock-v0"
-CONDITIONS: dict[str, dict[str, Any]] = {DOCK: {"wind": "gusty", "command_delay": (0.06, 0.1)}}
-PUBLISHED = {
-    DOCK: (
-        Published(
-            "thesis, docking tool",
-            {"error_x": (0.034, 0.032), "error_y": (0.036, 0.028), "error_z": (0.040, 0.039)},
-            "P. Ramon Soria, PhD thesis, 2018, Table 5.3: mean ± standard deviation of the held position's error, real "
-            "vehicle and wind, total station; not the conditions simulated here.",
-        ),
-    )
-}
-QUICK_ROWS = (*TRIVIAL, "pid", "pid-tuned", "lqg", "ppo")
-QUICK_EPISODES, FULL_EPISODES = 10, 100
-QUICK_STEPS = 1000  # 20 s at 50 Hz
+CONDITIONS: dict[str, dict[str, Any]] = {env_id: dict(setup.options) for env_id, setup in SETUPS.items()}
 TRACE_STEPS = 1000
 FILM_SECONDS, FILM_RATE, FILM_SIZE = 6.0, 10.0, {"width": 320, "height": 240}
+
+
+class Measured(NamedTuple):
+    """A comparison's rows, and what they were measured with, for an id's own study of them."""
+
+    env_id: str
+    env_kwargs: dict[str, Any]
+    seed: int  # of episode 0
+    episodes: int
+    rows: list[Row]  # all that ran, pooled ones after their trainings
+    policies: dict[str, Any]  # by name, those that ran
+    quick: bool
+    progress: bool
+
+
+class Study(NamedTuple):
+    """What an id's report adds."""
+
+    sections: list[str]  # HTML
+    data: dict[str, Any]  # for results.json
 
 
 class BenchResult(NamedTuple):
@@ -70,13 +69,8 @@ class BenchResult(NamedTuple):
 
 
 def default_rows(env_id: str, quick: bool) -> list[str]:
-    """The rows of a comparison: quick, or every analytic policy and every training seed that is shipped."""
-    analytic, shipped = list(registered_policies(env_id)), checkpoints(env_id)
-    if quick:
-        return [name for name in QUICK_ROWS if name in (*TRIVIAL, *LEARNED) or name in analytic]
-    seeds = [name for name in shipped if re.fullmatch(r".+-seed\d+", name)]
-    missing = [kind for kind in LEARNED if not any(name.startswith(f"{kind}-seed") for name in seeds)]
-    return [*TRIVIAL, *analytic, *seeds, *missing]
+    """The rows of a comparison (`agents.bench_setup.Setup.rows`)."""
+    return setup_of(env_id).rows(env_id, quick)
 
 
 def bench(
@@ -96,9 +90,9 @@ def bench(
     Args:
         env_id: a registered id.
         policies: names for `load_policy`; by default `default_rows`.
-        episodes: per policy; 100, or 10 if `quick`.
+        episodes: per policy; by default what `agents.bench_setup` says of the id: 100, or 10 if `quick`.
         seed: of episode 0.
-        env_kwargs: options of the environment, over `CONDITIONS` of the id.
+        env_kwargs: options of the environment, over those of the id's setup.
         out_dir: made if need be.
         quick: few rows, few short episodes.
         fresh: measure rows again that are there already.
@@ -110,13 +104,10 @@ def bench(
         OSError: the folder cannot be written.
     """
     env_spec(env_id)
+    setup = setup_of(env_id)
     folder = writable_folder(out_dir)
-    kwargs = {
-        **CONDITIONS.get(env_id, {}),
-        **({"max_episode_steps": QUICK_STEPS} if quick else {}),
-        **(env_kwargs or {}),
-    }
-    episodes = episodes if episodes is not None else QUICK_EPISODES if quick else FULL_EPISODES
+    kwargs = {**setup.options, **(setup.quick_options if quick else {}), **(env_kwargs or {})}
+    episodes = episodes if episodes is not None else setup.quick_episodes if quick else setup.episodes
     names = list(dict.fromkeys(policies or default_rows(env_id, quick)))
     facts = provenance(command)
     _, observation_space = spaces(env_id, kwargs)
@@ -129,25 +120,28 @@ def bench(
         if isinstance(policy, PolicyUnavailable):
             rows.append(Row(name, note=f"not run: {policy}"))
             continue
-        rows.append(Row.of(store.row(name, policy, kwargs)))
+        oracle = callable(getattr(policy, "watch", None))
+        rows.append(Row.of(store.row(name, policy, kwargs), oracle=oracle))
         if traceable:
             steps = min(kwargs.get("max_episode_steps", TRACE_STEPS), TRACE_STEPS)
             traces.append(trace(env_id, policy, seed, {**kwargs, "max_episode_steps": steps}, name))
     best = None if quick else best_row([row for row in rows if row.values])
-    film = None if best is None else film_of(env_id, best.policy, seed, kwargs, progress)
+    film = None if best is None else film_of(env_id, best.policy, seed, kwargs, progress, setup.film_episodes)
     rows = with_pooled(rows)
-    published = PUBLISHED.get(env_id, ())
+    ran = {name: policy for name, policy in loaded.items() if not isinstance(policy, PolicyUnavailable)}
+    measured = Measured(env_id, kwargs, seed, episodes, [row for row in rows if row.values], ran, quick, progress)
+    study = _study(setup.study, measured)
     settings = {
         "environment": env_id,
         "options": kwargs,
         "episodes": f"{episodes} a policy, the same ones for each",
         "seeds": f"{seed} to {seed + episodes - 1}",
     }
+    published = setup.published
     table = table_text(rows, published=published)
-    write_json(
-        folder / "results.json",
-        {"provenance": facts, "settings": {**settings, "seed": seed}, **table_data(rows, published)},
-    )
+    paired = [pair.to_dict() for pair in pairings(measured.rows)]
+    content = {**table_data(rows, published), "paired": paired, **study.data}
+    write_json(folder / "results.json", {"provenance": facts, "settings": {**settings, "seed": seed}, **content})
     write_atomic(folder / "table.md", table_text(rows, markdown=True, published=published) + "\n")
     write_report(
         folder / "report.html",
@@ -158,12 +152,29 @@ def bench(
         published=published,
         traces=traces,
         film=film,
-        film_caption="" if best is None else f"{best.policy}, the first seconds of the first pinned episode",
+        film_caption="" if best is None else _film_caption(best.policy, setup.film_episodes),
+        sections=study.sections,
     )
     return BenchResult(rows, folder, table)
 
 
-def film_of(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], progress: bool = False) -> bytes | None:
+def _study(function: str, measured: Measured) -> Study:
+    if not function or not measured.rows:
+        return Study([], {})
+    module, _, name = function.partition(":")
+    found: Study = getattr(importlib.import_module(module), name)(measured)
+    return found
+
+
+def _film_caption(policy: str, episodes: int) -> str:
+    if episodes == 1:
+        return f"{policy}, the first seconds of the first pinned episode"
+    return f"{policy}, the first {episodes} pinned episodes"
+
+
+def film_of(
+    env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], progress: bool = False, episodes: int = 1
+) -> bytes | None:
     """A small GIF of a policy's first seconds; None where the id draws no pictures, or they cannot be drawn here."""
     from agents.play import play
 
@@ -176,7 +187,16 @@ def film_of(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], 
         out = Path(folder) / "film.gif"
         look = {**env_kwargs, **FILM_SIZE}
         try:
-            play(env_id, policy, out, seconds=FILM_SECONDS, seed=seed, env_kwargs=look, fps=FILM_RATE)
+            play(
+                env_id,
+                policy,
+                out,
+                episodes=episodes,
+                seconds=FILM_SECONDS,
+                seed=seed,
+                env_kwargs=look,
+                fps=FILM_RATE,
+            )
         except (ValueError, RuntimeError) as error:
             if progress:
                 print(f"no film: {error}", file=sys.stderr)
@@ -191,8 +211,9 @@ def main(argv: list[str]) -> int:
 
         return speed_main([argument for argument in argv if argument != "--speed"])
     parser = Parser(prog="aerograsp bench", description="Compare policies on pinned episodes: table, JSON and report.")
-    parser.add_argument("id", metavar="ID", nargs="?", default=DOCK, help="environment")
-    parser.add_argument("--quick", action="store_true", help="few rows, ten episodes of 20 s")
+    parser.add_argument("id", metavar="ID", nargs="?", default=None, help=f"environment (default: {DOCK})")
+    parser.add_argument("--env", metavar="ID", default=None, help="the same by name")
+    parser.add_argument("--quick", action="store_true", help="few rows, few short episodes")
     parser.add_argument("--speed", action="store_true", help="measure speed instead; --speed --help lists its options")
     parser.add_argument(
         "--robustness",
@@ -209,8 +230,10 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     if args.quick and args.robustness:
         parser.error("--quick and --robustness do not go together")
+    if args.id and args.env and args.id != args.env:
+        parser.error(f"the environment is given twice, as {args.id} and as {args.env}")
     command = " ".join(["aerograsp", "bench", *argv])
-    shared = (args.id, args.policies, args.episodes, args.seed, args.env_kwargs, args.out)
+    shared = (args.id or args.env or DOCK, args.policies, args.episodes, args.seed, args.env_kwargs, args.out)
     result: BenchResult | Robustness
     if args.robustness:
         from agents.robustness import robustness

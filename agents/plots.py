@@ -33,18 +33,18 @@ def error_bars(rows: Sequence[Row], published: Sequence[Published], dark: bool) 
     tops = [max(1e3 * e.interval.high for e in found.values()) for _, found in estimates]
     tops += [1e3 * max(value for value, _ in other.values.values()) for other in published]
     limit = 1.18 * max(top for top in tops if top <= _OFF_SCALE * min(tops)) or 1.0
-    figure, axis = _figure(dark, 0.62 * groups + 1.1)
+    figure, axis = new_figure(dark, 0.62 * groups + 1.1)
     for group, (_, found) in enumerate(estimates):
         for i, (name, color) in enumerate(AXES.items()):
             if name not in found:
                 continue
-            mean, (low, high) = 1e3 * found[name].mean, (1e3 * bound for bound in found[name].interval)
+            mean, (low, high) = 1e3 * found[name].value, (1e3 * bound for bound in found[name].interval)
             y = group + 0.26 * (i - 1)
             axis.barh(y, min(mean, limit), height=0.23, color=color)
             if mean > limit:
                 axis.text(0.985 * limit, y, f"{mean:.0f} ▸", ha="right", va="center", color="white", fontsize=7)
             else:
-                axis.errorbar(mean, y, xerr=[[mean - low], [high - mean]], color=_ink(dark), lw=1.1, capsize=2.2)
+                axis.errorbar(mean, y, xerr=[[mean - low], [high - mean]], color=ink(dark), lw=1.1, capsize=2.2)
     for group, other in enumerate(published, start=len(estimates)):
         for i, (name, color) in enumerate(AXES.items()):
             if name in other.values:
@@ -54,10 +54,10 @@ def error_bars(rows: Sequence[Row], published: Sequence[Published], dark: bool) 
     axis.set_xlim(0.0, limit)
     axis.invert_yaxis()
     axis.set_xlabel("mean |error| [mm]")
-    _grid(axis, "x", dark)
+    grid_lines(axis, "x", dark)
     handles = [axis.barh(0, 0, color=color, label=name.removeprefix("error_")) for name, color in AXES.items()]
-    figure.legend(handles=handles, ncols=3, loc="upper right", frameon=False, labelcolor=_ink(dark))
-    return _png(figure)
+    figure.legend(handles=handles, ncols=3, loc="upper right", frameon=False, labelcolor=ink(dark))
+    return png_bytes(figure)
 
 
 def error_strips(rows: Sequence[Row], dark: bool, name: str = "error", label: str = "mean |error| [mm]") -> bytes:
@@ -67,10 +67,10 @@ def error_strips(rows: Sequence[Row], dark: bool, name: str = "error", label: st
     ]
     samples = [(policy, values) for policy, values in samples if values.size]
     palette = colors([policy for policy, _ in samples])
-    figure, axis = _figure(dark, 0.46 * len(samples) + 1.0)
+    figure, axis = new_figure(dark, 0.46 * len(samples) + 1.0)
     rng = np.random.default_rng(0)
     for i, (policy, values) in enumerate(samples):
-        box = {"color": _ink(dark), "linewidth": 1.0}
+        box = {"color": ink(dark), "linewidth": 1.0}
         axis.boxplot(
             values, positions=[i], orientation="horizontal", widths=0.56, showfliers=False,
             boxprops=box, whiskerprops=box, capprops=box, medianprops={**box, "linewidth": 2.0},
@@ -82,15 +82,15 @@ def error_strips(rows: Sequence[Row], dark: bool, name: str = "error", label: st
         _log_axis(axis, "x")
     axis.invert_yaxis()
     axis.set_xlabel(label)
-    _grid(axis, "x", dark)
-    return _png(figure)
+    grid_lines(axis, "x", dark)
+    return png_bytes(figure)
 
 
 def error_over_time(traces: Sequence["Trace"], dark: bool) -> bytes:
     """Observed |position error| over one pinned episode, a line a policy; a cross where an episode ended early."""
     palette = colors([line.policy for line in traces])
     end = max(line.time[-1] for line in traces)
-    figure, axis = _figure(dark, 3.3)
+    figure, axis = new_figure(dark, 3.3)
     for line in traces:
         color = palette[line.policy]
         error = np.maximum(1e3 * line.error, 0.1)
@@ -101,26 +101,26 @@ def error_over_time(traces: Sequence["Trace"], dark: bool) -> bytes:
     axis.set_xlim(0.0, end)
     axis.set_xlabel("time [s]")
     axis.set_ylabel("|position error| [mm]")
-    _grid(axis, "y", dark)
-    figure.legend(ncols=len(traces), loc="upper right", frameon=False, labelcolor=_ink(dark), handlelength=1.2)
-    return _png(figure)
+    grid_lines(axis, "y", dark)
+    figure.legend(ncols=len(traces), loc="upper right", frameon=False, labelcolor=ink(dark), handlelength=1.2)
+    return png_bytes(figure)
 
 
 def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool) -> bytes:
     """Mean |error| with its interval, a group a condition and a colour a policy; hollow where over 1 % crashed."""
     policies = [row.policy for row in next(iter(groups.values()))]
     palette, step = colors(policies), 0.78 / max(len(policies), 1)
-    figure, axis = _figure(dark, len(groups) * (0.16 * len(policies) + 0.24) + 1.0)
+    figure, axis = new_figure(dark, len(groups) * (0.16 * len(policies) + 0.24) + 1.0)
     for group, rows in enumerate(groups.values()):
         if group % 2:
-            axis.axhspan(group - 0.5, group + 0.5, color=_ink(dark), alpha=0.05, lw=0)
+            axis.axhspan(group - 0.5, group + 0.5, color=ink(dark), alpha=0.05, lw=0)
         for i, row in enumerate(rows):
             estimate, crash = row.estimate("error"), row.estimate("crash")
             if estimate is None:
                 continue
-            mean, (low, high) = 1e3 * estimate.mean, (1e3 * bound for bound in estimate.interval)
+            mean, (low, high) = 1e3 * estimate.value, (1e3 * bound for bound in estimate.interval)
             color = palette[row.policy]
-            face = "none" if crash is not None and crash.mean > 0.01 else color
+            face = "none" if crash is not None and crash.value > 0.01 else color
             axis.errorbar(
                 mean, group + step * (i - 0.5 * (len(rows) - 1)), xerr=[[mean - low], [high - mean]],
                 fmt="o", ms=5, mfc=face, color=color, lw=1.4, capsize=2.2,
@@ -129,17 +129,19 @@ def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool) -> bytes:
     axis.set_ylim(len(groups) - 0.5, -0.5)
     _log_axis(axis, "x")
     axis.set_xlabel("mean |error| [mm]")
-    _grid(axis, "x", dark)
+    grid_lines(axis, "x", dark)
     handles = [axis.plot([], [], "o", color=palette[policy], label=policy)[0] for policy in policies]
-    figure.legend(handles=handles, ncols=len(handles), loc="upper right", frameon=False, labelcolor=_ink(dark))
-    return _png(figure)
+    figure.legend(handles=handles, ncols=len(handles), loc="upper right", frameon=False, labelcolor=ink(dark))
+    return png_bytes(figure)
 
 
-def _ink(dark: bool) -> str:
+def ink(dark: bool) -> str:
+    """The colour of text and lines."""
     return "#d5d9de" if dark else "#33383e"
 
 
-def _figure(dark: bool, height: float) -> tuple[Any, Any]:
+def new_figure(dark: bool, height: float, width: float = 8.4) -> tuple[Any, Any]:
+    """A figure and its axis, `height` and `width` in inches."""
     # Figure without pyplot: no global state, no display, no backend switched under the caller's feet.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -147,22 +149,23 @@ def _figure(dark: bool, height: float) -> tuple[Any, Any]:
 
     height = max(height, 1.9)
     room = 1.0 - 0.26 / height  # leaves space for the legend above the axes
-    figure = Figure(figsize=(8.4, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, room)))
+    figure = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(rect=(0.0, 0.0, 1.0, room)))
     FigureCanvasAgg(figure)
     figure.patch.set_alpha(0.0)
     axis = figure.add_subplot()
     axis.patch.set_alpha(0.0)
     axis.spines[["top", "right", "left"]].set_visible(False)
-    axis.spines["bottom"].set_color(_ink(dark))
-    axis.tick_params(colors=_ink(dark), which="both", length=0)
-    axis.xaxis.label.set_color(_ink(dark))
-    axis.yaxis.label.set_color(_ink(dark))
+    axis.spines["bottom"].set_color(ink(dark))
+    axis.tick_params(colors=ink(dark), which="both", length=0)
+    axis.xaxis.label.set_color(ink(dark))
+    axis.yaxis.label.set_color(ink(dark))
     axis.set_axisbelow(True)
     return figure, axis
 
 
-def _grid(axis: Any, which: str, dark: bool) -> None:
-    axis.grid(axis=which, color=_ink(dark), alpha=0.18, lw=0.7)
+def grid_lines(axis: Any, which: str, dark: bool) -> None:
+    """Faint lines across one axis, "x" or "y", or "both"."""
+    axis.grid(axis=which, color=ink(dark), alpha=0.18, lw=0.7)
 
 
 def _log_axis(axis: Any, which: str) -> None:
@@ -176,7 +179,8 @@ def _log_axis(axis: Any, which: str) -> None:
     scale.set_minor_formatter(NullFormatter())
 
 
-def _png(figure: Any) -> bytes:
+def png_bytes(figure: Any) -> bytes:
+    """The figure as PNG."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=160)
     return buffer.getvalue()

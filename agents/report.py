@@ -6,13 +6,13 @@ re-exported here.
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from agents import page
 from agents.files import write_atomic
-from agents.statistics import paired_difference
+from agents.statistics import Interval, McNemar, is_binary, mcnemar, paired_difference
 from agents.table import (
     Column,
     Estimate,
@@ -23,6 +23,7 @@ from agents.table import (
     cell,
     columns,
     published_cell,
+    scoring,
     table_data,
     table_text,
 )
@@ -30,7 +31,17 @@ from agents.table import (
 if TYPE_CHECKING:
     from agents.traces import Trace
 
-__all__ = ["Column", "Estimate", "Published", "Row", "html_report", "table_data", "table_text", "write_report"]
+__all__ = [
+    "Column",
+    "Estimate",
+    "Published",
+    "Row",
+    "html_report",
+    "pairings",
+    "table_data",
+    "table_text",
+    "write_report",
+]
 
 
 def write_report(path: str | Path, **content: Any) -> Path:
@@ -48,6 +59,7 @@ def html_report(
     traces: Sequence["Trace"] = (),
     film: bytes | None = None,
     film_caption: str = "",
+    sections: Sequence[str] = (),
 ) -> str:
     """The page.
 
@@ -60,6 +72,7 @@ def html_report(
         traces: one pinned episode of some rows.
         film: a GIF to embed.
         film_caption: what it shows.
+        sections: HTML of what else was studied, shown after the comparison.
 
     Raises:
         ValueError: no rows; `film` is not a GIF.
@@ -74,20 +87,25 @@ def html_report(
     if film is not None:
         parts.append(page.film_figure(film, film_caption))
     parts += ["<h2>Comparison</h2>", _table(rows, published, best), _notes(rows, published)]
-    parts += _figures(ran, published, traces) + [_paired(ran, best), "<h2>How it was measured</h2>"]
+    parts += [*_figures(ran, published, traces), *paired(ran), *sections, "<h2>How it was measured</h2>"]
     parts.append(page.facts({**(settings or {}), **provenance}))
     return page.page(title, parts)
 
 
 def _lead(rows: Sequence[Row], best: Row | None) -> str:
-    if best is None or (estimate := best.estimate("error")) is None:
+    kind = scoring(rows)
+    if best is None or kind.primary is None or (estimate := best.estimate(kind.primary)) is None:
         return f'<p class="lead">{len(rows)} policies.</p>'
-    low, high = (f"{1e3 * bound:.1f}" for bound in estimate.interval)
-    return (
-        f'<p class="lead">The lowest error without crashes is <strong>{page.text(best.policy)}</strong>’s: '
-        f"<strong>{1e3 * estimate.mean:.1f} mm</strong> mean |error| per axis, 95 % interval {low} to {high} mm "
-        f"over {estimate.episodes} pinned episodes.</p>"
+    show = f"{{:.{kind.primary.digits}f}}".format
+    low, high = (show(kind.primary.scale * bound) for bound in estimate.interval)
+    said = kind.lead.format(
+        policy=f"<strong>{page.text(best.policy)}</strong>",
+        value=f"<strong>{show(kind.primary.scale * estimate.value)} {kind.unit}</strong>",
+        low=low,
+        high=high,
+        episodes=estimate.episodes,
     )
+    return f'<p class="lead">{said}</p>'
 
 
 def _table(rows: Sequence[Row], published: Sequence[Published], best: Row | None) -> str:
@@ -96,10 +114,10 @@ def _table(rows: Sequence[Row], published: Sequence[Published], best: Row | None
     for row in rows:
         if row.values:
             cells = [page.split_interval(cell(row, column)) for column in shown] + [str(row.episodes)]
-            kind = "best" if row is best else ""
+            kind = "best" if row is best else "oracle" if row.oracle else ""
         else:
             cells, kind = ["—"] * (len(shown) + 1), "missing"
-        lines.append(page.table_row([page.text(row.policy), *cells], kind))
+        lines.append(page.table_row([page.text(row.label), *cells], kind))
     for other in published:
         cells = [page.text(published_cell(other, column)) for column in shown] + ["—"]
         lines.append(page.table_row([page.text(other.label), *cells], "published"))
@@ -107,8 +125,8 @@ def _table(rows: Sequence[Row], published: Sequence[Published], best: Row | None
 
 
 def _notes(rows: Sequence[Row], published: Sequence[Published]) -> str:
-    lines = ["Means over episodes; 95 % percentile bootstrap intervals in brackets.", *caveats(rows)]
-    lines += [f"{row.policy}: {row.note}" for row in rows if row.note]
+    lines = [scoring(rows).intervals, *caveats(rows)]
+    lines += [f"{row.policy}: {row.remark}" for row in rows if row.remark]
     lines += [f"{other.label}: {other.source}" for other in published]
     return page.notes(lines)
 
@@ -133,22 +151,78 @@ def _figures(rows: Sequence[Row], published: Sequence[Published], traces: Sequen
     return parts
 
 
-def _paired(rows: Sequence[Row], best: Row | None) -> str:
-    """Differences to the best row, episode by episode."""
-    if best is None:
-        return ""
-    lines = []
+class Pairing(NamedTuple):
+    """One row set against the reference row on the same episodes."""
+
+    policy: str
+    reference: str
+    column: Column
+    difference: float  # row − reference
+    interval: Interval
+    verdict: str  # "better", "worse", "not resolved"
+    test: McNemar | None  # of 0/1 values
+    episodes: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        test = None if self.test is None else {"name": "McNemar, exact", **self.test._asdict()}
+        return {**self._asdict(), "column": self.column.name, "interval": list(self.interval), "test": test}
+
+
+def pairings(rows: Sequence[Row]) -> list[Pairing]:
+    """Every row against the reference of its kind of task (`Scoring.reference`), episode by episode.
+
+    A 0/1 value is resolved where McNemar's exact p is below 5 %, another one where the bootstrap interval of the mean
+    difference leaves zero.
+    """
+    kind = scoring(rows)
+    if (reference := kind.reference(rows)) is None:
+        return []
+    found = []
     for row in rows:
-        if row is best or row.values.get("error", np.empty(0)).shape != best.values["error"].shape:
-            continue
-        both = np.isfinite(row.values["error"])
-        if both.any():
-            estimate, (low, high) = paired_difference(row.values["error"][both], best.values["error"][both])
-            verdict = "worse" if low > 0.0 else "better" if high < 0.0 else "not resolved"
-            cells = [f"{1e3 * estimate:+.1f}", f"[{1e3 * low:+.1f}, {1e3 * high:+.1f}]", verdict, str(both.sum())]
-            lines.append(page.table_row([page.text(row.policy), *cells]))
-    if not lines:
-        return ""
-    table = page.table(["policy", "difference [mm]", "95 % interval", "", "episodes"], lines)
-    name = page.text(best.policy)
-    return f"<h2>Paired with {name}</h2><p>Mean difference of |error| on the same episodes.</p>{table}"
+        for column in kind.paired:
+            a, b = row.values.get(column.name, np.empty(0)), reference.values[column.name]
+            if row is reference or a.shape != b.shape or not (both := np.isfinite(a) & np.isfinite(b)).any():
+                continue
+            difference = paired_difference(a[both], b[both])
+            test = mcnemar(a[both], b[both]) if is_binary(a[both]) and is_binary(b[both]) else None
+            resolved = difference.significant if test is None else test.p < 0.05
+            better = (difference.estimate < 0.0) == kind.lower_is_better
+            verdict = "not resolved" if not resolved else "better" if better else "worse"
+            found.append(Pairing(row.policy, reference.policy, column, *difference, verdict, test, int(both.sum())))
+    return found
+
+
+def paired(rows: Sequence[Row]) -> list[str]:
+    """`pairings` as parts of the page; none where there is nothing to pair."""
+    kind, found = scoring(rows), pairings(rows)
+    reference = kind.reference(rows)
+    if not found or reference is None:
+        return []
+    labels = {row.policy: row.label for row in rows}
+    tested = any(pair.test is not None for pair in found)
+    parts = [f"<h2>Paired with {page.text(reference.policy)}</h2>"]
+    parts.append("<p>Mean differences on the same episodes, policy minus reference.</p>")
+    for column in kind.paired:
+        lines = [_pairing_row(labels[pair.policy], pair, tested) for pair in found if pair.column is column]
+        name, _, unit = column.head.partition(" [")
+        unit = "points" if unit == "%]" else unit.rstrip("]")
+        tests = ["only it", f"only {reference.policy}", "McNemar p"] if tested else []
+        head = ["policy", f"{name}: difference [{unit}]", "95 % interval", *tests, "", "episodes"]
+        parts.append(page.table(head, lines))
+    if tested:
+        parts.append(
+            page.notes(["“Only”: episodes in which one of the two succeeded and the other did not; p: exact."])
+        )
+    return parts
+
+
+def _pairing_row(label: str, pair: Pairing, tested: bool) -> str:
+    show = f"{{:+.{pair.column.digits}f}}".format
+    low, high = (show(pair.column.scale * bound) for bound in pair.interval)
+    cells = [page.text(label), show(pair.column.scale * pair.difference), f"[{low}, {high}]"]
+    if tested:
+        test = pair.test
+        p = "" if test is None else "< 0.0001" if test.p < 1e-4 else f"{test.p:.4f}"
+        cells += ["—"] * 3 if test is None else [str(test.only_a), str(test.only_b), page.text(p)]
+    return page.table_row([*cells, pair.verdict, str(pair.episodes)])

@@ -138,7 +138,7 @@ def _cell(row: Row) -> str:
     if not row.values:
         return _NOT_DONE
     crash = row.estimate("crash")
-    crashed = "" if crash is None or crash.mean == 0.0 else f" {100.0 * crash.mean:.0f} % crash"
+    crashed = "" if crash is None or crash.value == 0.0 else f" {100.0 * crash.value:.0f} % crash"
     return cell(row, ERROR) + crashed
 
 

@@ -2,9 +2,11 @@
 
 Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice" (NeurIPS), recommend
 the interquartile mean with bootstrap intervals; the percentile bootstrap is Efron & Tibshirani 1993, chapter 13.
-A sample that holds NaN has NaN statistics: nothing is dropped silently.
+A sample that holds NaN has NaN statistics: nothing is dropped silently. Shares of 0/1 samples have Wilson's
+interval and McNemar's test.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -132,3 +134,56 @@ def paired_difference(
     difference = first - second
     interval = bootstrap_interval(difference, rng, statistic, level, resamples)
     return PairedDifference(float(statistic(difference)), interval)
+
+
+def is_binary(values: ArrayLike) -> bool:
+    """Whether every value is 0 or 1."""
+    return bool(np.isin(np.asarray(values), (0.0, 1.0)).all())
+
+
+def wilson_interval(successes: int, trials: int, level: float = 0.95) -> Interval:
+    """Score interval of a probability (Wilson 1927, JASA 22), which does not collapse where all or none succeed.
+
+    Raises:
+        ValueError: no trials, more successes than trials, or `level` outside (0, 1).
+    """
+    if not 0 <= successes <= trials or trials < 1:
+        raise ValueError(f"successes: expected 0 to trials, and trials ≥ 1, got {successes} of {trials}")
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level: expected a number in (0, 1), got {level!r}")
+    from scipy.special import ndtri
+
+    z = float(ndtri(0.5 * (1.0 + level)))
+    share, scale = successes / trials, 1.0 + z * z / trials
+    middle = (share + 0.5 * z * z / trials) / scale
+    half = z / scale * math.sqrt(share * (1.0 - share) / trials + 0.25 * (z / trials) ** 2)
+    return Interval(0.0 if successes == 0 else middle - half, 1.0 if successes == trials else middle + half)
+
+
+class McNemar(NamedTuple):
+    """Paired 0/1 samples a, b: how often they disagree which way, and whether that could be chance."""
+
+    only_a: int  # a = 1, b = 0
+    only_b: int  # a = 0, b = 1
+    p: float  # exact, two-sided
+
+
+def mcnemar(a: ArrayLike, b: ArrayLike) -> McNemar:
+    """McNemar's exact test: given that the pair disagrees, either way is as likely (McNemar 1947, Psychometrika 12).
+
+    Args:
+        a, b: (n,) 0 or 1, from the same episodes.
+
+    Raises:
+        ValueError: other shapes or values.
+    """
+    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    if first.ndim != 1 or first.shape != second.shape:
+        raise ValueError(f"b: expected shape (n,) like a, got {first.shape} and {second.shape}")
+    if not (is_binary(first) and is_binary(second)):
+        raise ValueError("a, b: expected values 0 or 1")
+    from scipy.stats import binomtest
+
+    only_a, only_b = int((first > second).sum()), int((second > first).sum())
+    p = float(binomtest(only_a, only_a + only_b, 0.5).pvalue) if only_a + only_b else 1.0
+    return McNemar(only_a, only_b, p)

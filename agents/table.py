@@ -10,7 +10,10 @@ from numpy.typing import NDArray
 
 from agents.evaluation import EvaluationResult
 from agents.policies import LEARNED
-from agents.statistics import Interval, bootstrap_interval, mean
+from agents.scoring import Column, Scoring, columns_of, median_of, scoring_of
+from agents.statistics import Interval
+
+ORACLE_NOTE = "an oracle: it reads the simulator's truth, bounds what is possible, and is never called the best"
 
 
 @dataclass(frozen=True)
@@ -20,11 +23,13 @@ class Row:
     policy: str
     values: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)  # name → (E,) by episode; empty: not run
     note: str = ""  # why it was not run, or what there is to know about it
+    oracle: bool = False  # reads the simulator's truth (`aerograsp_env.interfaces.Oracle`)
 
     @classmethod
-    def of(cls, result: EvaluationResult, note: str = "") -> "Row":
-        """The row of a result."""
-        return cls(result.policy, {name: result.values(name) for name in result.names}, note)
+    def of(cls, result: EvaluationResult, note: str = "", oracle: bool = False) -> "Row":
+        """The row of a result, with a 0/1 value for each outcome that its kind of task counts."""
+        values = {name: result.values(name) for name in result.names}
+        return cls(result.policy, values | scoring_of(values).indicators(result.terminations), note, oracle)
 
     @classmethod
     def pooled(cls, policy: str, rows: Sequence["Row"], note: str = "") -> "Row":
@@ -39,19 +44,28 @@ class Row:
     def episodes(self) -> int:
         return len(next(iter(self.values.values()), ()))
 
-    def estimate(self, name: str) -> "Estimate | None":
-        """Mean and 95 % interval over the episodes in which the value is defined; None if there is none."""
-        values = self.values.get(name, np.empty(0))
-        values = values[np.isfinite(values)]
-        if values.size == 0:
-            return None
-        return Estimate(float(mean(values)), bootstrap_interval(values, 0, mean), values.size)
+    @property
+    def label(self) -> str:
+        """The policy as a table names it."""
+        return f"{self.policy} (oracle)" if self.oracle else self.policy
+
+    @property
+    def remark(self) -> str:
+        """The note, with what an oracle is."""
+        return "; ".join(filter(None, (ORACLE_NOTE if self.oracle else "", self.note)))
+
+    def estimate(self, column: Column | str) -> "Estimate | None":
+        """What a column shows: by name the mean, over the episodes in which the value is defined; None if in none."""
+        if isinstance(column, str):
+            column = Column(column, column)
+        sample = column.sample(self.values)
+        return Estimate(*column.estimator(sample), sample.size) if sample.size else None
 
 
 class Estimate(NamedTuple):
-    """A mean, its interval, and the number of episodes it is over."""
+    """A mean (or what else a column estimates), its 95 % interval, and the number of episodes it is over."""
 
-    mean: float
+    value: float
     interval: Interval
     episodes: int
 
@@ -64,58 +78,31 @@ class Published(NamedTuple):
     source: str  # citation, and how its conditions differ
 
 
-class Column(NamedTuple):
-    """How one value is shown."""
-
-    name: str
-    head: str
-    scale: float = 1.0
-    digits: int = 3
-    interval: bool = False
-
-
-COLUMNS = (
-    Column("error_x", "|error| x [mm]", 1e3, 1, True),
-    Column("error_y", "|error| y [mm]", 1e3, 1, True),
-    Column("error_z", "|error| z [mm]", 1e3, 1, True),
-    Column("error", "|error| [mm]", 1e3, 1, True),
-    Column("success", "success [%]", 1e2, 0),
-    Column("crash", "crash [%]", 1e2, 0),
-    Column("effort", "effort"),
-)
-_OTHERS = Column("returns", "return", 1.0, 2, True)
+def scoring(rows: Sequence[Row]) -> Scoring:
+    """The kind of task that these rows are of."""
+    return scoring_of({name for row in rows for name in row.values})
 
 
 def columns(rows: Sequence[Row]) -> list[Column]:
-    """The columns that these rows have: the known ones in their order, else return, success and every metric."""
-    names = {name for row in rows for name in row.values}
-    known = [column for column in COLUMNS if column.name in names]
-    if any(column.name == "error" for column in known) or not names:
-        return known or list(COLUMNS)
-    others = sorted(names - {column.name for column in COLUMNS} - {"returns", "lengths"})
-    return [_OTHERS, *known, *(Column(name, name, interval=True) for name in others)]
+    """The columns that these rows have (`agents.scoring.columns_of`)."""
+    return columns_of({name for row in rows for name in row.values})
 
 
 def best_row(rows: Sequence[Row]) -> Row | None:
-    """The row of the lowest error, among those whose every episode defines one and at most 1 % of them crash.
-
-    An episode that crashes has its error over the time before only, which flatters a policy that crashes early.
-    """
-    safe = [row for row in rows if np.isfinite(row.values.get("error", np.array([np.nan]))).all()]
-    safe = [row for row in safe if np.mean(row.values.get("crash", np.zeros(1))) <= 0.01]
-    return min(safe, key=lambda row: float(np.mean(row.values["error"])), default=None)
+    """The best row that is no oracle (`agents.scoring.Scoring.best`)."""
+    return scoring(rows).best(rows)
 
 
 def cell(row: Row, column: Column) -> str:
     """What a table shows: mean, interval, and "(n)" where only n of the episodes define the value."""
-    estimate = row.estimate(column.name)
+    estimate = row.estimate(column)
     if estimate is None:
         return "—"
     show = f"{{:.{column.digits}f}}".format
-    text = show(column.scale * estimate.mean)
+    text = show(column.scale * estimate.value)
     if column.interval:
         text += f" [{', '.join(show(column.scale * bound) for bound in estimate.interval)}]"
-    return text if estimate.episodes == row.episodes else f"{text} ({estimate.episodes})"
+    return text if column.given or estimate.episodes == row.episodes else f"{text} ({estimate.episodes})"
 
 
 def published_cell(row: Published, column: Column) -> str:
@@ -139,9 +126,9 @@ def with_pooled(rows: Sequence[Row]) -> list[Row]:
 def caveats(rows: Sequence[Row]) -> list[str]:
     """What a reader must know about values over a part of the episodes or of their time."""
     notes = []
-    estimates = [(row, row.estimate(column.name)) for row in rows for column in columns(rows)]
-    if any(estimate is not None and estimate.episodes < row.episodes for row, estimate in estimates):
-        notes.append("(n): over the n episodes that lasted long enough to define it.")
+    whole = [column for column in columns(rows) if not column.given]
+    if any(0 < column.sample(row.values).size < row.episodes for row in rows for column in whole):
+        notes.append(scoring(rows).undefined)
     if any((row.values.get("crash", np.zeros(1)) > 0.0).any() for row in rows):
         notes.append("An episode that crashed counts with its errors before the crash: read errors beside crash rates.")
     return notes
@@ -153,14 +140,14 @@ def table_text(rows: Sequence[Row], markdown: bool = False, published: Sequence[
     lines = [["policy", *(column.head for column in shown), "episodes"]]
     for row in rows:
         cells = [cell(row, column) for column in shown] if row.values else ["—"] * len(shown)
-        lines.append([row.policy, *cells, str(row.episodes or "—")])
+        lines.append([row.label, *cells, str(row.episodes or "—")])
     for other in published:
         lines.append([other.label, *(published_cell(other, column) for column in shown), "—"])
-    notes = [f"{row.policy}: {row.note}" for row in rows if row.note]
+    notes = [f"{row.policy}: {row.remark}" for row in rows if row.remark]
     notes += [f"{other.label}: {other.source}" for other in published]
     notes += caveats(rows)
     if any(column.interval for column in shown):
-        notes.insert(0, "Means over episodes, with 95 % bootstrap intervals in brackets.")
+        notes.insert(0, scoring(rows).intervals)
     return aligned(lines, notes, markdown)
 
 
@@ -184,16 +171,18 @@ def aligned(lines: Sequence[Sequence[str]], notes: Sequence[str], markdown: bool
 
 def table_data(rows: Sequence[Row], published: Sequence[Published] = ()) -> dict[str, Any]:
     """The comparison for JSON: per row every estimate and the per-episode values."""
+    shown = {column.name: column for column in columns(rows)}
     return {
         "rows": [
             {
                 "policy": row.policy,
                 "note": row.note,
+                "oracle": row.oracle,
                 "episodes": row.episodes,
                 "summary": {
-                    name: {"mean": e.mean, "low": e.interval.low, "high": e.interval.high, "episodes": e.episodes}
+                    name: summary
                     for name in row.values
-                    if (e := row.estimate(name)) is not None
+                    if (summary := _summary(row, shown.get(name, Column(name, name)))) is not None
                 },
                 "values": dict(row.values),
             }
@@ -201,3 +190,12 @@ def table_data(rows: Sequence[Row], published: Sequence[Published] = ()) -> dict
         ],
         "published": [other._asdict() for other in published],
     }
+
+
+def _summary(row: Row, column: Column) -> dict[str, Any] | None:
+    if (estimate := row.estimate(column)) is None:
+        return None
+    value, (low, high), episodes = estimate
+    what = "median" if column.estimator is median_of else "mean"
+    given = {"given": column.given} if column.given else {}
+    return {what: value, "low": low, "high": high, "episodes": episodes, **given}

@@ -200,7 +200,7 @@ def test_default_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     assert benchmark.default_rows(TOY, quick=True) == ["zero", "random", "ppo"]
     assert benchmark.default_rows(TOY, quick=False) == ["zero", "random", "p", "ppo", "ppo-residual"]
     shipped = {"ppo": Path("a"), "ppo-seed0": Path("a"), "ppo-seed1": Path("b")}
-    monkeypatch.setattr(benchmark, "checkpoints", lambda env_id: shipped)
+    monkeypatch.setattr("agents.bench_setup.checkpoints", lambda env_id: shipped)
     assert benchmark.default_rows(TOY, quick=False)[3:] == ["ppo-seed0", "ppo-seed1", "ppo-residual"]
 
 
