@@ -143,6 +143,15 @@ class GraspSearch:
         if self.widest <= THINNEST:
             raise ValueError(f"gripper: expected one that opens more than {2 * LEAST_CLEARANCE} m, got {self.gripper}")
 
+    @classmethod
+    def of(
+        cls, gripper: GripperConfig | None, friction: float | None, approaches: int, clearance: float
+    ) -> GraspSearch:
+        """With the defaults for None: a `GripperConfig()`, and the gripper's friction."""
+        gripper = GripperConfig() if gripper is None else gripper
+        mu = getattr(gripper, "friction", 1.0) if friction is None else float(friction)
+        return cls(gripper, mu, approaches, float(clearance))
+
     @property
     def widest(self) -> float:
         """[m] The largest distance of contacts that the jaws go around."""

@@ -107,10 +107,7 @@ def grasps_on_cloud(
             length, or another argument out of its range.
     """
     p = checked_cloud(points)
-    gripper = GripperConfig() if gripper is None else gripper
-    search = GraspSearch(
-        gripper, gripper.friction if friction is None else float(friction), approaches, float(clearance)
-    )
+    search = GraspSearch.of(gripper, friction, approaches, clearance)
     body = p
     if normals is None:
         view = None if viewpoint is None else finite("viewpoint", viewpoint, (3,))

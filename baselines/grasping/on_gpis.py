@@ -99,10 +99,7 @@ def grasps_on_gpis(
     for name, count in (("n_starts", n_starts), ("samples", samples)):
         if not isinstance(count, (int, np.integer)) or count < 1:
             raise ValueError(f"{name}: expected a whole number ≥ 1, got {count!r}")
-    gripper = GripperConfig() if gripper is None else gripper
-    search = GraspSearch(
-        gripper, gripper.friction if friction is None else float(friction), approaches, float(clearance)
-    )
+    search = GraspSearch.of(gripper, friction, approaches, clearance)
     generator = np.random.default_rng(rng)
     lower, upper = data.min(axis=0), data.max(axis=0)
     middle = 0.5 * (lower + upper) if center is None else finite("center", center, (3,))
@@ -115,7 +112,7 @@ def grasps_on_gpis(
     on = first.converged & (np.linalg.norm(first.points - middle, axis=1) < 3.0 * radius)
     points, slopes = first.points[on], first.gradients[on]
     inward = -slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
-    second = opposite(gp, points, inward, 1.2 * gripper.max_width)
+    second = opposite(gp, points, inward, 1.2 * search.gripper.max_width)
     note(reasons, {"did not converge": (~on).sum(), "no opposite side": (~second.converged).sum()})
 
     gradients = np.stack([slopes, second.gradients], axis=1)[second.converged]

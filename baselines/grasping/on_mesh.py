@@ -115,8 +115,8 @@ def grasps_on_mesh(
     """Grasps of a parallel-jaw gripper on a watertight mesh, in the mesh's frame; scored by the friction to spare.
 
     The score is the friction angle less the larger angle between the closing line and the normals [rad]; equal ones are
-    ordered by the distance of the closing line from the centre of mass. Contacts are exact. Whether the gripper has room
-    is exact, up to `clearance.TOLERANCE`, for flat boxes moving straight.
+    ordered by the distance of the closing line from the centre of mass. Contacts are exact. If the gripper has room is
+    exact too, up to `clearance.TOLERANCE`, for flat boxes moving straight.
 
     Args:
         mesh: a `MeshObject`, a `trimesh.Trimesh`, a `GraspObject`, or (vertices, faces); metres.
@@ -138,10 +138,7 @@ def grasps_on_mesh(
         ValueError: a mesh that is open, inverted or not in metres, or another argument out of its range.
     """
     mesh = as_mesh(mesh)
-    gripper = GripperConfig() if gripper is None else gripper
-    search = GraspSearch(
-        gripper, gripper.friction if friction is None else float(friction), approaches, float(clearance)
-    )
+    search = GraspSearch.of(gripper, friction, approaches, clearance)
     key = ""
     if cache is not None:
         if isinstance(rng, np.random.Generator):
