@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import igl
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +16,7 @@ from aerograsp_env.spatial import transform_points
 from baselines.objects.bvh import BVH
 from baselines.objects.mesh_checks import MeshReport, check_unit, clean_mesh
 from baselines.objects.observations import check_points
+from baselines.objects.rays import RayCaster
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -149,8 +151,18 @@ class MeshObject:
 
     @cached_property
     def bvh(self) -> BVH:
-        """The hierarchy that rays and closest points descend."""
+        """A hierarchy of boxes around the faces, for compiled code to descend."""
         return BVH.build(self.vertices, self.faces)
+
+    @cached_property
+    def _caster(self) -> RayCaster:
+        return RayCaster(self.vertices, self.faces, self.face_normals, self.watertight)
+
+    @cached_property
+    def _tree(self) -> igl.AABB:
+        tree = igl.AABB()
+        tree.init(self.vertices, self.faces)
+        return tree
 
     def _closed(self, what: str) -> None:
         if not self.watertight:
@@ -203,11 +215,14 @@ class MeshObject:
     def ray_hits(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
         """Every crossing of the surface by rays from origins (N, 3) [m] along directions (N, 3) of any length.
 
-        A ray through a shared edge or corner hits exactly one of the faces around it (or as many as a ray moved by an
-        infinitesimal would), so a ray that starts outside a watertight mesh has an even number of hits. Float64.
+        Embree finds them in float32, and distances are those to the faces' planes in float64. On a watertight mesh a
+        ray through an edge or corner hits one of the faces around it, or those that a ray a billionth of the mesh's
+        size aside would: the whole line enters the mesh as often as it leaves it (see `rays`). On an open mesh hits
+        at edges may be missing, and walls thinner than 4e-6 of the mesh's size may count once.
 
         Raises:
             ValueError: shapes that do not match, values that are not finite, or a direction of zero length.
+            ArithmeticError: a ray that is let into a watertight mesh more or less often than out, however it is moved.
         """
         o, d = check_points(origins, "origins"), check_points(directions, "directions")
         if o.shape != d.shape or o.shape[1] != 3:
@@ -215,7 +230,7 @@ class MeshObject:
         lengths = np.linalg.norm(d, axis=1, keepdims=True)
         if not (lengths > 0.0).all():
             raise ValueError(f"directions: expected lengths > 0, got zero in row {int((lengths[:, 0] == 0).argmax())}")
-        return RayHits(*self.bvh.ray_hits(o, d / lengths))
+        return RayHits(*self._caster.hits(o, d / lengths))
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """(N,) whether each point is inside: whether more faces are left than entered on the way out.
@@ -233,7 +248,11 @@ class MeshObject:
 
     def closest(self, points: ArrayLike) -> tuple[Array, Ints]:
         """Closest point of the surface (N, 3) [m] to each of points (N, 3), and its face (N,)."""
-        return self.bvh.closest(check_points(points, "points"))
+        p = check_points(points, "points")
+        if p.shape[1] != 3:
+            raise ValueError(f"points: expected shape (N, 3), got {p.shape}")
+        _, faces, found = self._tree.squared_distance(self.vertices, self.faces, np.ascontiguousarray(p))
+        return found, faces
 
     def signed_distance(self, points: ArrayLike) -> Array:
         """(N,) [m] distance of points (N, 3) to the surface, negative inside. Raises as `contains` does."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import igl
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from baselines.objects.bvh import BVH
+from baselines.objects.triangles import crossing_pairs
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -118,8 +119,7 @@ def _outward(vertices: Array, faces: Ints) -> tuple[Ints, int]:
             continue
         if count > 1:
             start = vertices[faces[mine][0]].mean(axis=0)
-            hits = BVH.build(vertices, faces[~mine]).ray_hits(start[None], np.array([[0.36, 0.48, 0.8]]))[0]
-            if len(hits) % 2:
+            if round(float(igl.winding_number(vertices, faces[~mine], start[None])[0])) % 2:
                 continue
         faces[mine] = faces[mine][:, ::-1]
         turned += 1
@@ -166,7 +166,7 @@ def clean_mesh(vertices: Array, faces: Ints, repair: bool, name: str) -> tuple[A
         non_manifold_edges=edges.multiple,
         bodies=bodies(vertices, faces)[0],
         degenerate_faces=int((areas <= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 2).sum()),
-        self_intersections=len(BVH.build(vertices, faces).crossing_pairs(PAIRS_COUNTED)),
+        self_intersections=min(len(crossing_pairs(vertices, faces)), PAIRS_COUNTED),
         repairs=tuple(done),
     )
     return vertices, faces, report
