@@ -13,14 +13,18 @@ if TYPE_CHECKING:
 
 EPISODE_STEPS = 3000  # 60 s at 50 Hz
 
-ENTRY_POINTS: dict[str, tuple[str, str]] = {  # of one world, and of a batch
+ENTRY_POINTS: dict[str, tuple[str, str | None]] = {  # of one world, and of a native batch where there is one
     "aerograsp/Dock-v0": ("aerograsp_env.envs.dock:DockEnv", "aerograsp_env.vector:DockVectorEnv"),
     "aerograsp/DockAttach-v0": ("aerograsp_env.envs.dock:DockAttachEnv", "aerograsp_env.vector:DockAttachVectorEnv"),
+    "aerograsp/GraspPlan-v0": ("aerograsp_env.envs.grasp_plan:GraspPlanEnv", None),
 }
+
+ONE_STEP = frozenset({"aerograsp/GraspPlan-v0"})  # end by themselves at the first step: no time limit
 
 REFERENCE_POLICIES: dict[str, str] = {
     "aerograsp/Dock-v0": "baselines.policies.dock:pid",
     "aerograsp/DockAttach-v0": "baselines.policies.dock_attach:pid",
+    "aerograsp/GraspPlan-v0": "baselines.policies.grasp_plan:gpis",
 }
 
 
@@ -32,7 +36,7 @@ def register_envs() -> None:
                 env_id,
                 single,
                 vector_entry_point=batched,
-                max_episode_steps=EPISODE_STEPS,
+                max_episode_steps=None if env_id in ONE_STEP else EPISODE_STEPS,
                 order_enforce=False,  # the environments check order and actions themselves:
                 disable_env_checker=True,  # two wrappers fewer in every step
             )

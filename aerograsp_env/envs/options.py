@@ -46,7 +46,7 @@ def choose(name: str, value: Any, valid: Iterable[str]) -> str:
     raise ValueError(f"{name} must be one of {', '.join(map(repr, names))}, got {value!r}{hint}")
 
 
-def _instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = None) -> Any:
+def instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = None) -> Any:
     """A configuration value: an instance, a name that stands for one, or a mapping of changes to the default."""
     if isinstance(value, kind):
         return value
@@ -111,25 +111,25 @@ def dock_config(
     if isinstance(randomize, (bool, np.bool_)):
         drawn = RandomizeConfig() if randomize else None
     else:
-        drawn = _instance("randomize", randomize, RandomizeConfig)
-    pilot = _instance("autopilot", autopilot, AutopilotConfig) if autopilot is not None else base.autopilot
+        drawn = instance("randomize", randomize, RandomizeConfig)
+    pilot = instance("autopilot", autopilot, AutopilotConfig) if autopilot is not None else base.autopilot
     choose("command_frame", command_frame, ("world", "heading"))
     if command_frame != "world":
         pilot = replace(pilot, command_frame=command_frame)
     return replace(
         base,
         attach=attach,
-        wind=_instance("wind", wind, WindConfig, WIND_LEVELS),
+        wind=instance("wind", wind, WindConfig, WIND_LEVELS),
         localization=choose("localization", localization, ("dock", "gps", "vision", "truth")),
         docked=bool(docked),
         randomize=drawn,
-        airframe=_instance("airframe", airframe, AirframeConfig, AIRFRAMES),
+        airframe=instance("airframe", airframe, AirframeConfig, AIRFRAMES),
         payload=_number("payload", payload),
         velocity_limit=_triple("velocity_limit", velocity_limit),
         command_delay=_range("command_delay", command_delay),
         autopilot=pilot,
-        sensors=_instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
-        tool=_instance("tool", tool, DockingToolConfig) if tool is not None else base.tool,
+        sensors=instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
+        tool=instance("tool", tool, DockingToolConfig) if tool is not None else base.tool,
     )
 
 
