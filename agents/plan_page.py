@@ -134,6 +134,12 @@ def figure(
         traces.append(_markers(scene.center[None], label, 5, "#c2185b", "cross"))
     for k, drawn in enumerate(grasps):
         traces += _grasp_traces(k, drawn, columns, gripper, rank_color(k, len(grasps)))
+    camera = _camera(scene, grasps)
+    eye, up = (np.array([camera[key][name] for name in "xyz"]) for key in ("eye", "up"))
+    light = 1e5 * (eye + up + 0.7 * np.cross(up, eye)) / 5.0  # over the first viewer's shoulder; plotly's bound is 1e5
+    for trace in traces:
+        if trace["type"] == "mesh3d":
+            trace["lightposition"] = dict(zip("xyz", light.tolist(), strict=True))
     axes = {
         f"{name}axis": {
             "title": {"text": f"{name} [m]"},
@@ -145,7 +151,7 @@ def figure(
         for name in "xyz"
     }
     layout = {
-        "scene": {**axes, "aspectmode": "data", "camera": _camera(scene, grasps)},
+        "scene": {**axes, "aspectmode": "data", "camera": camera},
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "font": {"color": GREY, "family": "system-ui, sans-serif"},
