@@ -72,7 +72,7 @@ def cylinder(radius: float, height: float, sides: int = SIDES) -> Convex:
     return frustum(radius, radius, height, sides)
 
 
-def ellipsoid(semi_axes: Sequence[float], roundness: tuple[float, float] = (1.0, 1.0), rings: int = 9) -> Convex:
+def ellipsoid(semi_axes: ArrayLike, roundness: tuple[float, float] = (1.0, 1.0), rings: int = 9) -> Convex:
     """A superellipsoid (Barr 1981, "Superquadrics and angle-preserving transformations", eq. 2.10).
 
     Args:

@@ -8,11 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from aerograsp_env.sim.objects.build import SLIVER, build_object, is_watertight, mass_properties
-from aerograsp_env.sim.objects.grasp_object import GraspObject
+from aerograsp_env.sim.objects.grasp_object import Convex, GraspObject
 from aerograsp_env.sim.objects.shapes import Pieces, hull
 
+Array = NDArray[np.float64]
+
+GROWTH = 1e-5  # [m] so that pieces cut along a plane overlap there and join
 LARGEST = 2.0  # [m] extent beyond which a mesh is taken to be in other units
 
 
@@ -117,15 +121,42 @@ def _decompose(surface: trimesh.Trimesh, threshold: float, seed: int) -> Pieces:
         except ValueError:  # flat: nothing to touch
             continue
         if mass_properties(*piece).mass > SLIVER:
-            pieces.append(piece)
+            pieces.append(_grown(piece))
     return tuple(pieces)
+
+
+def _grown(piece: Convex) -> Convex:
+    """The piece scaled about its centroid so that every face moves out by `GROWTH` at least."""
+    center = mass_properties(*piece).center
+    a, b, c = (piece.vertices[piece.faces[:, k]] - center for k in range(3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1)
+    sound = lengths > 1e-12  # [m²] slivers have no direction
+    depth = float((np.einsum("ij,ij->i", normals, a)[sound] / lengths[sound]).min())
+    return hull(center + (piece.vertices - center) * (1.0 + GROWTH / max(depth, 1e-4)))
 
 
 def _distance(one: trimesh.Trimesh, other: trimesh.Trimesh, seed: int, samples: int = 1000) -> tuple[float, float]:
     """Mean and largest distance of samples of either surface to the other."""
-    distances: list[NDArray[np.float64]] = []
-    for source, target in ((one, other), (other, one)):
-        points, _ = trimesh.sample.sample_surface(source, samples, seed=seed)
-        distances.append(trimesh.proximity.closest_point(target, points)[1])
-    both = np.concatenate(distances)
+    pairs = ((one, other), (other, one))
+    both = np.concatenate([_to_surface(trimesh.sample.sample_surface(a, samples, seed=seed)[0], b) for a, b in pairs])
     return float(both.mean()), float(both.max())
+
+
+def _to_surface(points: Array, mesh: trimesh.Trimesh) -> Array:
+    """(N,) exact distances of points (N, 3) to a mesh.
+
+    Its faces are cut to at most one size, so that those which can be nearest lie in a small ball around a point.
+    """
+    edge = float(mesh.extents.max()) / 30.0
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, max_edge=edge)
+    triangles = np.asarray(vertices[faces], dtype=np.float64)
+    middles = triangles.mean(axis=1)
+    tree = cKDTree(middles)
+    # the nearest face is no farther than the nearest middle, and its own middle at most an edge farther than itself
+    near = tree.query_ball_point(points, tree.query(points)[0] + edge)
+    owner = np.repeat(np.arange(len(points)), [len(found) for found in near])
+    closest = trimesh.triangles.closest_point(triangles[np.concatenate(near).astype(np.int64)], points[owner])
+    distances = np.full(len(points), np.inf)
+    np.minimum.at(distances, owner, np.linalg.norm(closest - points[owner], axis=1))
+    return distances
