@@ -3,12 +3,32 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from agents.policies import TRIVIAL, checkpoints, registered_policies
-from agents.table import Published
+from agents.table import Published, Row
 
 DOCK, GRASP_PLAN = "aerograsp/Dock-v0", "aerograsp/GraspPlan-v0"
+
+
+class Measured(NamedTuple):
+    """A comparison's rows, and what they were measured with, for an id's own study of them."""
+
+    env_id: str
+    env_kwargs: dict[str, Any]
+    seed: int  # of episode 0
+    episodes: int
+    rows: list[Row]  # all that ran, pooled ones after their trainings
+    policies: dict[str, Any]  # by name, those that ran
+    quick: bool
+    progress: bool
+
+
+class Study(NamedTuple):
+    """What an id's report adds."""
+
+    sections: list[str]  # HTML
+    data: dict[str, Any]  # for results.json
 
 
 @dataclass(frozen=True)
@@ -23,7 +43,7 @@ class Setup:
     quick_rows: tuple[str, ...] = (*TRIVIAL, "pid", "pid-tuned", "lqg", "ppo")
     published: tuple[Published, ...] = ()
     film_episodes: int = 1
-    study: str = ""  # "module:function" of what the report adds: `study(Measured) -> Study` (`agents.benchmark`)
+    study: str = ""  # "module:function" of what the report adds: `study(Measured) -> Study`
 
     def rows(self, env_id: str, quick: bool) -> list[str]:
         """The rows of a comparison: quick, or every analytic policy and every training seed that is shipped."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import gymnasium
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
-from agents.bench_setup import DOCK, SETUPS, setup_of
+from agents.bench_setup import DOCK, SETUPS, Measured, Study, setup_of
 from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import PolicyUnavailable, env_spec, spaces
 from agents.provenance import provenance
@@ -30,26 +30,6 @@ if TYPE_CHECKING:
 CONDITIONS: dict[str, dict[str, Any]] = {env_id: dict(setup.options) for env_id, setup in SETUPS.items()}
 TRACE_STEPS = 1000
 FILM_SECONDS, FILM_RATE, FILM_SIZE = 6.0, 10.0, {"width": 320, "height": 240}
-
-
-class Measured(NamedTuple):
-    """A comparison's rows, and what they were measured with, for an id's own study of them."""
-
-    env_id: str
-    env_kwargs: dict[str, Any]
-    seed: int  # of episode 0
-    episodes: int
-    rows: list[Row]  # all that ran, pooled ones after their trainings
-    policies: dict[str, Any]  # by name, those that ran
-    quick: bool
-    progress: bool
-
-
-class Study(NamedTuple):
-    """What an id's report adds."""
-
-    sections: list[str]  # HTML
-    data: dict[str, Any]  # for results.json
 
 
 class BenchResult(NamedTuple):

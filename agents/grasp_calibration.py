@@ -26,7 +26,7 @@ class Bin(NamedTuple):
 
     low: float  # of the bin; the last one includes its upper edge
     high: float
-    count: int
+    samples: int
     predicted: float  # their mean
     observed: float  # share of ones among their outcomes
     interval: Interval  # Wilson, 95 %
@@ -36,7 +36,7 @@ class Reliability(NamedTuple):
     """How probabilities compare with what happened."""
 
     bins: list[Bin]  # those that have predictions
-    count: int
+    samples: int
     brier: float  # mean squared difference; 0 is perfect
     base_rate: float  # share of ones
     brier_base: float  # of predicting that share always
@@ -88,11 +88,11 @@ def reliability(predicted: ArrayLike, outcome: ArrayLike, bins: int = BINS) -> R
     base = float(y.mean())
     return Reliability(
         bins=found,
-        count=p.size,
+        samples=p.size,
         brier=float(np.mean((p - y) ** 2)),
         base_rate=base,
         brier_base=base * (1.0 - base),
-        calibration_error=sum(of.count * abs(of.predicted - of.observed) for of in found) / p.size,
+        calibration_error=sum(of.samples * abs(of.predicted - of.observed) for of in found) / p.size,
     )
 
 
@@ -140,7 +140,8 @@ def judge_candidates(
             verdict = env.judge(proposals.grasp(index))
             found.append((pfc[index], verdict.held, verdict.strict, verdict.outcome not in NOT_CLOSED, int(seed)))
     columns = np.array(found, dtype=np.float64).reshape(-1, 5).T
-    return Judged(*columns[:4], columns[4].astype(np.int64))
+    pfc, held, strict, closed, view = columns
+    return Judged(pfc, held, strict, closed, view.astype(np.int64))
 
 
 def curves(judged: Judged) -> dict[str, Reliability]:

@@ -77,13 +77,13 @@ def reliability_diagram(curves: Mapping[str, Reliability], dark: bool) -> bytes:
     counts.tick_params(right=False, labelright=False)
     widest = next(iter(curves.values()))
     counts.bar(
-        [0.5 * (of.low + of.high) for of in widest.bins], [of.count for of in widest.bins],
+        [0.5 * (of.low + of.high) for of in widest.bins], [of.samples for of in widest.bins],
         width=0.92 / 10, color=ink(dark), alpha=0.12, lw=0,
     )  # fmt: skip
-    counts.set_ylim(0.0, 4.0 * max(of.count for of in widest.bins))
+    counts.set_ylim(0.0, 4.0 * max(of.samples for of in widest.bins))
     for of in widest.bins:
         counts.annotate(
-            str(of.count), (0.5 * (of.low + of.high), of.count), (0, 2), textcoords="offset points",
+            str(of.samples), (0.5 * (of.low + of.high), of.samples), (0, 2), textcoords="offset points",
             ha="center", fontsize=7, color=ink(dark), alpha=0.7,
         )  # fmt: skip
     for i, (name, curve) in enumerate(curves.items()):

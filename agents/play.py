@@ -5,6 +5,7 @@ aerograsp play aerograsp/Dock-v0 --policy pid-tuned --out dock.mp4
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -62,6 +63,8 @@ def play(
         picture: the last frame without the overlay, .png.
         env_kwargs: options of the environment, those of its picture (`width`, `height`, `camera`, …) too.
         fps: frames per second of simulated and of film time.
+
+    Where one step is a whole story and the environment has `film(fps)`, that is what is shown of it.
 
     Raises:
         ValueError: an unknown id, policy, option or suffix, or a number out of range.
@@ -138,6 +141,7 @@ class _Shots:
         self.env, self.policy, self.name, self.overlay, self.progress = env, policy, name, overlay, progress
         self.dt = float(getattr(env.unwrapped, "dt", 1.0 / env.metadata.get("render_fps", 50)))
         self.steps, self.fps, self.camera = max(round(seconds / self.dt), 1), fps, camera
+        self.frames = max(round(seconds * fps), 1)
 
     def episode(self, seed: int, endings: list[Ending], film: bool) -> Iterator[NDArray[np.uint8]]:
         """The frames of one episode, if they are wanted; appends how it ended."""
@@ -159,8 +163,21 @@ class _Shots:
                     outcome = (info.get("termination") or ended) if terminated else ended
                 bar.update(1)
         if film:
-            yield self._frame(step, observation)
+            yield from self._last(step, observation, info, str(outcome))
         endings.append(Ending(seed, step * self.dt, str(outcome), self._error(observation)))
+
+    def _last(
+        self, step: int, observation: Mapping[str, Any], info: Mapping[str, Any], outcome: str
+    ) -> Iterator[NDArray[np.uint8]]:
+        """The episode's last picture, or what happened in its step where the environment can show that."""
+        show = getattr(self.env.unwrapped, "film", None)
+        if step == 0 or not callable(show):
+            yield self._frame(step, observation)
+            return
+        note = ": ".join(filter(None, (str(info.get("object", "")), outcome)))
+        for number, frame in enumerate(itertools.islice(show(self.fps), self.frames)):
+            time = number / self.fps
+            yield annotate(frame, Readings(time, self.name, note=note)) if self.overlay else frame
 
     def draw(self) -> NDArray[np.uint8]:
         """The scene as it is."""
