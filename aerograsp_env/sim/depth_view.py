@@ -10,6 +10,7 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import mujoco
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -160,18 +161,17 @@ def _look(
     focal = 0.5 * camera.height / math.tan(math.asin(radius / camera.distance)) / _MARGIN
     x = (np.arange(camera.width) + 0.5 - 0.5 * camera.width) / focal
     y = (np.arange(camera.height) + 0.5 - 0.5 * camera.height) / focal
-    local = np.stack([*np.meshgrid(x, y), np.ones((camera.height, camera.width))], axis=-1)
-    rays = local @ R.T  # (H, W, 3) of length 1 along the optical axis: ray parameters are depths
+    square = 1.0 + x**2 + (y**2)[:, None]
     # Only what points at the bounding sphere is cast.
-    square = np.einsum("ijk,ijk->ij", rays, rays)
-    along = -(rays @ position)
-    cast = np.flatnonzero(camera.distance**2 - along**2 / square < radius**2)
-    depth, normal = _cast(
-        item, gripper, R_world_object.T @ position + middle, rays.reshape(-1, 3)[cast] @ R_world_object
-    )
+    cast = np.flatnonzero(square < 1.0 / (1.0 - (radius / camera.distance) ** 2))
+    row, column = np.divmod(cast, camera.width)
+    # Of length 1 along the optical axis: ray parameters are depths.
+    rays = np.stack([x[column], y[row], np.ones(len(cast))], axis=1) @ R.T
+    rays_object = rays @ R_world_object
+    depth, normal = _cast(item, gripper, R_world_object.T @ position + middle, rays_object)
     hit = np.isfinite(depth)
     length = np.sqrt(square.ravel()[cast])
-    cosine = np.abs(np.einsum("ij,ij->i", normal, rays.reshape(-1, 3)[cast] @ R_world_object)) / length
+    cosine = np.abs(np.einsum("ij,ij->i", normal, rays_object)) / length
     angle = np.arccos(np.minimum(cosine, 1.0))
     lost = (angle - camera.grazing_start) / (camera.grazing_limit - camera.grazing_start)
     hit &= rng.random(len(cast)) >= lost
@@ -180,7 +180,7 @@ def _look(
     noisy = safe + sigma_z * rng.standard_normal(len(cast))
     shape = (camera.height, camera.width)
     points, seen, sigma = np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.zeros(shape)
-    points.reshape(-1, 3)[cast] = np.where(hit, noisy, np.nan)[:, None] * rays.reshape(-1, 3)[cast] + position
+    points.reshape(-1, 3)[cast] = np.where(hit, noisy, np.nan)[:, None] * rays + position
     seen.ravel()[cast] = hit
     sigma.ravel()[cast] = sigma_z * length
     return _Pixels(points, seen, sigma, camera.distance / focal), position
@@ -236,22 +236,38 @@ def _fit_normals(
 
     Neighbours much farther or nearer than the pixel belong to another surface and are left out.
     """
-    height, width = seen.shape
-    step = np.arange(-_WINDOW, _WINDOW + 1) * max(1, round(_PATCH / (_WINDOW * pixels.pitch)))
-    row, column = np.divmod(chosen, width)
-    rows = row[:, None, None] + step[:, None]
-    columns = column[:, None, None] + step
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    index = np.where(inside, rows * width + columns, 0).reshape(len(chosen), -1)
-    near = inside.reshape(len(chosen), -1) & seen.ravel()[index]
-    offsets = pixels.points.reshape(-1, 3)[index] - points[:, None]
-    offsets = np.where(near[..., None], offsets, 0.0)
-    limit = 4.0 * pixels.sigma.ravel()[chosen] + 2.0 * abs(step[0]) * pixels.pitch
-    near &= np.einsum("ijk,ijk->ij", offsets, offsets) < limit[:, None] ** 2
-    weight = near.astype(np.float64)[..., None]
-    total = weight.sum(axis=1)
-    offsets = (offsets - (offsets * weight).sum(axis=1, keepdims=True) / total[:, None]) * weight
-    _, axes = np.linalg.eigh(offsets.transpose(0, 2, 1) @ offsets)
+    stride = max(1, round(_PATCH / (_WINDOW * pixels.pitch)))
+    limit = 4.0 * pixels.sigma.ravel()[chosen] + 2.0 * _WINDOW * stride * pixels.pitch
+    _, axes = np.linalg.eigh(_patch_moments(pixels.points, seen, chosen, stride, limit))
     normals = axes[:, :, 0]
     facing = np.einsum("ij,ij->i", normals, position - points)
     return np.where(facing[:, None] < 0.0, -normals, normals)
+
+
+@numba.njit(cache=True)
+def _patch_moments(points, seen, chosen, stride, limit):
+    """Second moments (N, 3, 3) [m²] about their mean of the seen points within `limit` around each chosen pixel."""
+    height, width = seen.shape
+    moments = np.zeros((len(chosen), 3, 3))
+    for k in range(len(chosen)):
+        row, column = chosen[k] // width, chosen[k] % width
+        total, second, count = np.zeros(3), np.zeros((3, 3)), 0
+        for i in range(row - _WINDOW * stride, row + _WINDOW * stride + 1, stride):
+            for j in range(column - _WINDOW * stride, column + _WINDOW * stride + 1, stride):
+                if not (0 <= i < height and 0 <= j < width and seen[i, j]):
+                    continue
+                x = points[i, j, 0] - points[row, column, 0]
+                y = points[i, j, 1] - points[row, column, 1]
+                z = points[i, j, 2] - points[row, column, 2]
+                if x * x + y * y + z * z >= limit[k] ** 2:
+                    continue
+                offset = (x, y, z)
+                count += 1
+                for a in range(3):
+                    total[a] += offset[a]
+                    for b in range(3):
+                        second[a, b] += offset[a] * offset[b]
+        for a in range(3):
+            for b in range(3):
+                moments[k, a, b] = second[a, b] - total[a] * total[b] / count
+    return moments

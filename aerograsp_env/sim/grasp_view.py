@@ -24,6 +24,7 @@ CAMERAS: dict[str, tuple[float, float, float]] = {  # azimuth from the depth cam
     "front": (math.radians(-50.0), math.radians(-12.0), 0.75),
     "view": (0.0, math.nan, 0.5),  # where the depth camera stands, at its elevation
 }
+_FOVY = math.radians(30.0)
 _FLOOR = 0.40  # [m] below the object
 _LIFT_IN_PICTURE = 0.06  # [m] above the object's middle that the camera looks at, once there is a gripper
 _POINT_COLOR = np.array([20, 200, 230], dtype=np.uint8)
@@ -90,7 +91,7 @@ class GraspView:
     def _camera(self, rise: float) -> FreeCamera:
         distance, azimuth, elevation = self._angles
         lookat = self._middle + (0.0, 0.0, rise)
-        return FreeCamera(tuple(lookat.tolist()), distance, azimuth, elevation, math.radians(40.0))
+        return FreeCamera(tuple(lookat.tolist()), distance, azimuth, elevation, _FOVY)
 
     def _place(self, T_object: Array, T_gripper: Array | None, width: float) -> None:
         data, half = self._data, 0.5 * (self._gripper.max_width - width)
