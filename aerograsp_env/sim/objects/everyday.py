@@ -88,7 +88,7 @@ def bottle(size: Size) -> Parts:
         (0.75 * radius, 0.72 * height),
         (neck, 0.84 * height),
         (neck, height - 0.018),
-        (neck + 0.003, height - 0.016),
+        (neck + 0.003, height - 0.014),
         (neck + 0.003, height),
     ]
     return (Part(shapes.stack(profile)),)
