@@ -80,6 +80,13 @@ def test_overlapping_parts_are_one_solid() -> None:
     assert mesh.contains([[0.05, 0.0, 0.0], [0.15, 0.05, 0.0], [0.15, -0.08, 0.0]]).tolist() == [True, True, False]
 
 
+def test_parts_that_only_touch_do_not_intersect() -> None:
+    for lift, crossing in ((0.0, False), (-0.02, True)):
+        parts = [box((0.2, 0.2, 0.2)), box((0.06, 0.06, 0.06), (0.02, 0.014, 0.13 + lift))]
+        report = MeshObject.from_trimesh(trimesh.util.concatenate(parts)).report
+        assert (report.self_intersections > 0) is crossing
+
+
 # --- rays -----------------------------------------------------------------------------------------------------------
 
 
@@ -131,6 +138,42 @@ def test_hits_equal_brute_force(rng: np.random.Generator) -> None:
     assert hits.rays.tolist() == [i for i, _ in expected]
     np.testing.assert_allclose(hits.distances, [t for _, t in expected], atol=1e-9)
     assert hits.rays.max() > 0 and np.bincount(hits.rays).max() >= 4
+
+
+@pytest.mark.parametrize("thickness", [1e-2, 1e-5, 1e-7])
+def test_walls_thinner_than_float32_are_crossed_twice(thickness: float, rng: np.random.Generator) -> None:
+    mesh = MeshObject.from_trimesh(box((1.0, 1.0, thickness)))
+    targets = np.concatenate([rng.uniform(-0.4, 0.4, (200, 2)), np.zeros((200, 1))], axis=1)
+    directions = rng.normal(size=(200, 3)) * [0.3, 0.3, 0.0] + [0.0, 0.0, 1.0]
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    hits = mesh.ray_hits(targets - 2.0 * directions, directions)
+    np.testing.assert_array_equal(hits.rays, np.repeat(np.arange(200), 2))
+    apart = np.diff(hits.distances.reshape(-1, 2), axis=1)[:, 0]
+    np.testing.assert_allclose(apart, thickness / directions[:, 2], atol=1e-14)
+
+
+def test_no_ray_enters_a_watertight_mesh_more_often_than_it_leaves(rng: np.random.Generator) -> None:
+    """Also not where parts overlap, from far away, or aimed at corners along the axes."""
+    parts = [box((0.2, 0.2, 0.2)), box((0.2, 0.2, 0.2), (0.1, 0.05, 0.03)), trimesh.creation.torus(0.3, 0.1)]
+    mesh = MeshObject.from_trimesh(trimesh.util.concatenate(parts))
+    n = len(mesh.vertices)
+    targets = np.concatenate([mesh.vertices, rng.uniform(-0.4, 0.4, (2000, 3))])
+    directions = np.concatenate([np.eye(3)[np.arange(n) % 3], rng.normal(size=(2000, 3))])
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    hits = mesh.ray_hits(targets - 50.0 * directions, directions)
+    turns = np.sign(np.einsum("hi,hi->h", mesh.face_normals[hits.faces], directions[hits.rays]))
+    assert not np.bincount(hits.rays, weights=turns, minlength=len(targets)).any()
+    assert not (np.bincount(hits.rays) % 2).any() and np.bincount(hits.rays).max() >= 6
+    assert (np.diff(hits.rays) >= 0).all() and (np.diff(hits.distances)[np.diff(hits.rays) == 0] >= 0.0).all()
+
+
+def test_rays_that_start_inside_have_only_what_lies_ahead() -> None:
+    mesh = MeshObject.from_trimesh(box((0.2, 0.2, 0.2)))
+    hits = mesh.ray_hits([[0.01, 0.02, 0.03], [0.01, 0.02, 0.3]], [[0, 0, 1], [0, 0, 1]])
+    assert hits.rays.tolist() == [0]
+    np.testing.assert_allclose(hits.distances, [0.07], atol=1e-15)
+    nothing = mesh.ray_hits(np.empty((0, 3)), np.empty((0, 3)))
+    assert len(nothing.rays) == len(nothing.distances) == len(nothing.faces) == 0
 
 
 def test_closest_points_equal_brute_force(rng: np.random.Generator) -> None:
@@ -222,8 +265,18 @@ def test_bad_files_and_rays_are_named(tmp_path: Path) -> None:
         MeshObject.from_file(broken)
     with pytest.raises(FileNotFoundError):
         MeshObject.from_file(tmp_path / "none.stl")
+    with pytest.raises(ValueError, match=r"points.*\(N, 3\)"):
+        ball(1).closest([[0.0, 0.0]])
     with pytest.raises(ValueError, match=r"directions.*zero in row 1"):
         ball(1).ray_hits(np.zeros((2, 3)), [[0, 0, 1], [0, 0, 0]])
+
+
+def test_a_collada_file_names_the_package_that_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "part.dae"
+    path.write_text("<COLLADA/>")
+    monkeypatch.setattr("baselines.objects.mesh.find_spec", lambda name: None)
+    with pytest.raises(ImportError, match=r"part\.dae.*pycollada"):
+        MeshObject.from_file(path)
 
 
 # --- convex pieces --------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -102,10 +103,13 @@ class MeshObject:
         Raises:
             ValueError: also for a file that cannot be read as a mesh, or holds only points.
             FileNotFoundError: no such file.
+            ImportError: a .dae file without pycollada.
         """
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"path: no file {path}")
+        if path.suffix.lower() in (".dae", ".zae") and find_spec("collada") is None:
+            raise ImportError(f"{path.name}: reading COLLADA needs the package pycollada (pip install pycollada)")
         try:
             loaded: Any = trimesh.load_scene(path, process=False, maintain_order=True).to_mesh()
         except Exception as error:  # trimesh's readers raise whatever the bytes make of them

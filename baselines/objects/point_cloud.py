@@ -6,22 +6,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.interfaces import Intrinsics
 from aerograsp_env.spatial import as_array, check_transform, transform_points
 from baselines.objects.cloud_files import read_cloud, write_ply
+from baselines.objects.depth_points import FARTHEST, unproject
 from baselines.objects.normals import estimate_normals, estimate_organized_normals
 from baselines.objects.observations import UNIT_TOLERANCE
 from baselines.objects.sampling import farthest_point_indices, group_means, inliers, voxel_groups
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-FARTHEST = 50.0
-"""[m] A cloud that reaches farther from its viewpoint is taken to be in millimetres, unless a scale is given."""
 
 
 def _frozen(array: NDArray) -> NDArray:
@@ -111,32 +108,12 @@ class PointCloudObject:
         Raises:
             ValueError: sizes that do not match, negative or infinite depth, or no return at all.
         """
-        z = np.asarray(depth, dtype=np.float64)
-        size = (intrinsics.height, intrinsics.width)
-        if z.shape != size:
-            raise ValueError(f"depth: expected shape {size} as the intrinsics say, got {z.shape}")
-        z = np.where(np.isnan(z), 0.0, z)
-        if (z < 0.0).any() or np.isinf(z).any():
-            raise ValueError("depth: expected values ≥ 0 [m], with 0 or NaN where there is no return")
-        valid = z > 0.0
-        if not valid.any():
-            raise ValueError("depth: expected at least one return, got none")
-        if float(np.median(z[valid])) > FARTHEST:
-            raise ValueError(
-                f"depth: expected metres, got a median of {np.median(z[valid]):.4g}: looks like millimetres"
-            )
-        rows, columns = np.nonzero(valid)
-        pixels = np.stack([columns, rows], axis=1).astype(np.float64)
-        if intrinsics.distortion is not None:
-            rays = cv2.undistortPoints(pixels[:, None], intrinsics.matrix, intrinsics.distortion)[:, 0]
-        else:
-            rays = (pixels - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
-        points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) * z[valid][:, None]
+        points, valid = unproject(depth, intrinsics)
         colors = None
         if rgb is not None:
             image = np.asarray(rgb)
-            if image.shape != (*size, 3) or image.dtype != np.uint8:
-                raise ValueError(f"rgb: expected uint8 of shape {(*size, 3)}, got {image.dtype} {image.shape}")
+            if image.shape != (*valid.shape, 3) or image.dtype != np.uint8:
+                raise ValueError(f"rgb: expected uint8 of shape {(*valid.shape, 3)}, got {image.dtype} {image.shape}")
             colors = image[valid]
         cloud = cls(points, colors=colors, valid=valid)
         return cloud if T is None else cloud.transform(T)
@@ -209,8 +186,8 @@ class PointCloudObject:
         Args:
             neighbors: how many nearest points make a normal.
             radius: [m] how far they may be; alone (neighbors=None) all within it count.
-            window: pixels of an organised cloud; if given, normals come from windows of the image, many times faster,
-                and points whose window straddles a jump of depth are left out.
+            window: pixels of an organised cloud; if given, normals come from windows of the image, about twice as
+                fast, and points whose window straddles a jump of depth are left out.
 
         Raises:
             ValueError: arguments out of range, or no point that can have a normal (all collinear or coinciding).
