@@ -109,8 +109,8 @@ def across(predicted: Array, count: int, rng: np.random.Generator, bins: int = B
     """
     shuffled = rng.permutation(len(predicted))
     member = bin_of(predicted[shuffled], bins)
-    rank = np.array([np.count_nonzero(member[:i] == of) for i, of in enumerate(member)])  # place within its bin
-    order = np.lexsort((rng.permutation(bins)[member], rank)) if len(member) else rank
+    place = [np.count_nonzero(member[:i] == of) for i, of in enumerate(member)]  # of each within its bin
+    order = np.lexsort((rng.permutation(bins)[member], np.array(place, dtype=np.int64)))
     return shuffled[order[:count]].astype(np.int64)
 
 
