@@ -62,7 +62,8 @@ def opposite(gp: GPIS, points: Array, inward: Array, farthest: float, samples: i
     """Where rays from the surface along `inward` (M, 3) first leave the object again: f = 0, going up.
 
     f is looked at in `samples` places on each ray up to `farthest` [m]; where its sign changes, Newton's method along
-    the ray, held within the bracket, finds the place. A wall or gap thinner than farthest/samples may be missed.
+    the ray, held within the bracket, finds the place. A wall or gap thinner than farthest/samples may be missed. Rays
+    that do not leave have not converged, and end at `farthest`.
     """
     steps = farthest * np.arange(1, samples + 1) / samples
     values = gp.predict((points[:, None] + steps[:, None] * inward[:, None]).reshape(-1, 3)).mean
@@ -70,7 +71,8 @@ def opposite(gp: GPIS, points: Array, inward: Array, farthest: float, samples: i
     last = outside.argmax(axis=1)
     found = outside.any(axis=1) & (last > 0)  # outside at once: nothing to hold there
     low, high = steps[np.maximum(last - 1, 0)], steps[last]
-    at, slopes = 0.5 * (low + high), np.zeros_like(points)
+    at = np.where(outside.any(axis=1), 0.5 * (low + high), farthest)
+    slopes = np.zeros_like(points)
     converged = np.zeros(len(points), dtype=bool)
     for _ in range(20):
         rows = np.flatnonzero(found & ~converged)

@@ -15,38 +15,48 @@ from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping.candidates import GraspCandidates, GraspSearch, Pairs, assemble, note
 from baselines.grasping.clearance import point_collisions
 from baselines.grasping.contacts import Array, finite
-from baselines.grasping.gpis_contacts import closing_probability, descend, opposite
+from baselines.grasping.gpis_contacts import TINY, closing_probability, descend, opposite
 from baselines.objects import GPIS
 
 NODES = 6000
 """Points at which the mean is looked at for what may be in the gripper's way."""
 
 
-def surface_points(gp: GPIS, lower: Array, upper: Array, nodes: int = NODES) -> tuple[Array, float]:
-    """Points on {f = 0} within the box (K, 3), dense to the returned spacing [m].
-
-    Nodes of a lattice that are within a spacing of the surface, moved onto it by one Newton step.
-    """
+def _lattice(gp: GPIS, lower: Array, upper: Array, nodes: int) -> tuple[Array, Array, float]:
+    """Nodes (I, J, K, 3), the mean there (I, J, K), and their spacing [m]."""
     spacing = float(np.prod(upper - lower) / nodes) ** (1.0 / 3.0)
     axes = [np.arange(low, high + spacing, spacing) for low, high in zip(lower, upper, strict=True)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    values = gp.predict(lattice.reshape(-1, 3)).mean.reshape(lattice.shape[:3])
+    return lattice, gp.predict(lattice.reshape(-1, 3)).mean.reshape(lattice.shape[:3]), spacing
+
+
+def surface_points(gp: GPIS, lower: Array, upper: Array, nodes: int = NODES) -> Array:
+    """Points on {f = 0} within the box (K, 3).
+
+    A coarse lattice says which part of the box holds the object; of a fine one in that part, the nodes that have a
+    neighbour on the other side of the surface are moved onto it by one Newton step.
+    """
+    coarse, values, spacing = _lattice(gp, lower, upper, max(nodes // 6, 8))
+    if not (held := coarse[values < 0.0]).size:
+        return np.empty((0, 3))
+    low, high = np.maximum(lower, held.min(axis=0) - spacing), np.minimum(upper, held.max(axis=0) + spacing)
+    lattice, values, spacing = _lattice(gp, low, high, nodes)
     inside = values < 0.0
-    near = np.zeros(inside.shape, dtype=bool)  # has a neighbour on the other side
+    near = np.zeros(inside.shape, dtype=bool)
     for axis in range(3):
-        a, b = ([slice(None)] * 3, [slice(None)] * 3)
+        a, b = [slice(None)] * 3, [slice(None)] * 3
         a[axis], b[axis] = slice(1, None), slice(None, -1)
         crossed = inside[tuple(a)] != inside[tuple(b)]
         near[tuple(a)] |= crossed
         near[tuple(b)] |= crossed
     points = lattice[near]
     if not len(points):
-        return points, spacing
+        return points
     slope = gp.predict(points, gradient=True).gradient
     assert slope is not None
-    move = -values[near][:, None] * slope / np.maximum((slope**2).sum(axis=1), np.finfo(float).tiny)[:, None]
+    move = -values[near][:, None] * slope / np.maximum((slope**2).sum(axis=1), TINY)[:, None]
     length = np.linalg.norm(move, axis=1, keepdims=True)
-    return points + move * np.minimum(1.0, spacing / np.maximum(length, np.finfo(float).tiny)), spacing
+    return points + move * np.minimum(1.0, spacing / np.maximum(length, TINY))
 
 
 def grasps_on_gpis(
@@ -67,7 +77,8 @@ def grasps_on_gpis(
     approximated), and `score_error` its standard error; equal ones are ordered by the distance of the closing line from
     `center`. The second contact lies on the first one's inward normal. The
     gripper has room where neither an observed point nor the mean's surface, looked at on a lattice of some 6000 points,
-    is inside of its boxes: exact for the points, and blind to what is finer than the lattice.
+    is inside of its boxes: exact for the points, and blind to what is finer than the lattice, or farther from the data
+    than 1.5 times its radius.
 
     Args:
         gp: fitted to points in space, with a differentiable kernel.
@@ -82,8 +93,8 @@ def grasps_on_gpis(
 
     Returns:
         Possibly none at all: `reasons` then says why, as `grasps_on_mesh` has them, with "did not converge" (a descent
-        that found no surface near the data) and "no opposite side" (the surface is not left again within the jaws'
-        reach, or at once). `counts` has "starts", "converged" and "pairs".
+        that found no surface near the data) and "no opposite side" (no inside lies behind the surface). `counts` has
+        "starts", "converged" and "pairs".
 
     Raises:
         ValueError: a model of other than points in space, a kernel without gradients, or an argument out of its range.
@@ -112,8 +123,11 @@ def grasps_on_gpis(
     on = first.converged & (np.linalg.norm(first.points - middle, axis=1) < 3.0 * radius)
     points, slopes = first.points[on], first.gradients[on]
     inward = -slopes / np.linalg.norm(slopes, axis=1, keepdims=True)
-    second = opposite(gp, points, inward, 1.2 * search.gripper.max_width)
-    note(reasons, {"did not converge": (~on).sum(), "no opposite side": (~second.converged).sum()})
+    reach = 1.2 * search.gripper.max_width
+    second = opposite(gp, points, inward, reach)
+    wide = ~second.converged & (np.linalg.norm(second.points - points, axis=1) > 0.999 * reach)
+    missing = ~second.converged & ~wide
+    note(reasons, {"did not converge": (~on).sum(), "too wide": wide.sum(), "no opposite side": missing.sum()})
 
     gradients = np.stack([slopes, second.gradients], axis=1)[second.converged]
     positions = np.stack([points, second.points], axis=1)[second.converged]
@@ -124,8 +138,7 @@ def grasps_on_gpis(
     found = np.concatenate([data, points])
     body = found
     if len(contacts):
-        margin = 0.1 * radius
-        surface, _ = surface_points(gp, found.min(axis=0) - margin, found.max(axis=0) + margin)
+        surface = surface_points(gp, found.min(axis=0) - 1.5 * radius, found.max(axis=0) + 1.5 * radius)
         body = np.concatenate([found, surface])
     placed = search.place(pairs, lambda *bodies: point_collisions(body, *bodies), reasons)
     used, rows = np.unique(placed[0], return_inverse=True)
