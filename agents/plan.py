@@ -150,6 +150,7 @@ def _parser() -> Parser:
     parser.add_argument("--seed", type=seed_int, default=0, metavar="S")
     parser.add_argument("--scale", type=_positive, metavar="M", help="metres per unit of the file: 0.001 for mm")
     parser.add_argument("--viewpoint", type=float, nargs=3, metavar=("X", "Y", "Z"), help="where a cloud was seen from")
+    parser.add_argument("--all-round", action="store_true", help="a cloud was seen from everywhere: normals outwards")
     corners = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
     parser.add_argument(
         "--crop", type=float, nargs=6, metavar=corners, help="the box of a cloud that is the object [m]"
@@ -207,7 +208,7 @@ def main(argv: Sequence[str]) -> int:
 
     settings = Settings(
         **{name: getattr(args, name) for name in ("method", "prior", "rank", "top", "seed", "noise", "scale")},
-        **{name: getattr(args, name) for name in ("points", "rays", "cache")},
+        **{name: getattr(args, name) for name in ("points", "rays", "cache", "all_round")},
         gripper=GripperConfig(max_width=args.gripper_width, friction=args.friction),
         viewpoint=None if args.viewpoint is None else tuple(args.viewpoint),
         crop=None if args.crop is None else tuple(args.crop),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from aerograsp_env.sim.gripper import GripperConfig
@@ -23,6 +24,8 @@ from baselines.objects import GPIS, Constant, Matern52, Prior, SurfaceError
 from baselines.objects.mesh import MeshObject
 from baselines.objects.point_cloud import PointCloudObject
 from baselines.objects.prior_fit import PriorFit, fit_cylinder, fit_ellipsoid, fit_plane
+from baselines.objects.surface import mesh as surface_mesh
+from baselines.objects.surface import walk
 
 Array = NDArray[np.float64]
 Method = Literal["auto", "mesh", "gpis", "cloud"]
@@ -41,7 +44,8 @@ RANK, TIE = "pfc", "lmrw_sum"
 SURFACE_SAMPLES = 6000  # points that stand for an open mesh
 LEARNING_POINTS = 90  # on which the process' length scale and deviation are chosen
 CELLS = 28  # of the drawn surfaces, along the object
-MAX_CELLS = 40_000
+MAX_CELLS = 15_000
+FLATTEST = 0.1  # slope of the mean, 1 on a clear surface, below which its standard deviation is not blown up further
 COARSE = 0.25  # of the jaws' opening: points farther apart than this do not show what is between the jaws
 EVALUATED = 400  # grasps of which every metric is computed
 NEAR_CENTER, NEAR_CLOSING = 0.012, np.cos(0.35)  # grasps closer in both hold the same; only their approach differs
@@ -61,6 +65,7 @@ class Settings:
     noise: float = 0.001  # [m] standard deviation of the surface, for the probability on meshes and clouds
     scale: float | None = None  # metres per unit of the file
     viewpoint: tuple[float, float, float] | None = None  # [m] where a cloud was seen from
+    all_round: bool = False  # whether a cloud was seen from all round, its normals to be turned away from its middle
     crop: tuple[float, ...] | None = None  # [m] lower and upper corner
     points: int = 300  # that a cloud is thinned to for its implicit surface
     rays: int = 2000  # through a mesh or cloud
@@ -70,6 +75,8 @@ class Settings:
         for name, names in (("method", get_args(Method)), ("prior", get_args(PriorName)), ("rank", METRICS)):
             if getattr(self, name) not in names:
                 raise ValueError(f"{name}: expected one of {', '.join(names)}, got {getattr(self, name)!r}")
+        if self.all_round and self.viewpoint is not None:
+            raise ValueError("viewpoint: expected none for a cloud that was seen from all round")
         if not 0.0 <= self.noise < np.inf:
             raise ValueError(f"noise: expected a standard deviation ≥ 0 [m], got {self.noise}")
         for name in ("top", "points", "rays"):
@@ -115,7 +122,8 @@ def plan(path: str | Path, settings: Settings | None = None, say: Say = lambda t
         if settings.method == "mesh" or (settings.method == "auto" and mesh.watertight):
             found = _on_mesh(mesh, settings, say)
         else:
-            found = _on_points(_sampled(mesh, settings.seed), None, settings, say, _mesh_notes(mesh))
+            notes = [*_mesh_notes(mesh), f"mesh: taken as {SURFACE_SAMPLES} points on it, seen from all round"]
+            found = _on_points(_sampled(mesh, settings.seed), None, settings, say, notes)
     elif settings.method == "mesh":
         raise ValueError(f"method: expected gpis or cloud for points without faces, got mesh for {path.name}")
     else:
@@ -172,6 +180,11 @@ def _read_cloud(path: Path, settings: Settings) -> tuple[PointCloudObject, Array
         cloud = cloud.crop(settings.crop[:3], settings.crop[3:])
     if len(cloud) > 20:
         cloud = cloud.remove_outliers(min(20, len(cloud) - 1))
+    if settings.all_round:
+        middle = 0.5 * (cloud.points.min(axis=0) + cloud.points.max(axis=0))
+        cloud = replace(cloud, normals=None, viewpoint=middle).estimate_normals()
+        assert cloud.normals is not None
+        return replace(cloud, normals=-cloud.normals), None
     if settings.viewpoint is not None:
         view = np.array(settings.viewpoint)
         if cloud.normals is not None:
@@ -189,7 +202,8 @@ def _read_cloud(path: Path, settings: Settings) -> tuple[PointCloudObject, Array
         has = "without normals" if cloud.normals is None else "whose normals are turned to there"
         raise ValueError(
             f"viewpoint: expected the place of a sensor, got {view.round(4).tolist()}, within {NEAREST_VIEW} m of a "
-            f"cloud {has}; pass --viewpoint X Y Z (the cloud is about {cloud.points.mean(axis=0).round(3).tolist()})"
+            f"cloud {has}; pass --viewpoint X Y Z or --all-round (the "
+            f"cloud is about {cloud.points.mean(axis=0).round(3).tolist()})"
         )
     return cloud, view if plausible and _one_sided(cloud) else None
 
@@ -216,8 +230,7 @@ def _on_points(cloud: PointCloudObject, view: Array | None, settings: Settings, 
     prior, said = fit_prior(settings.prior, cloud, view)
     model = fit_model(cloud, prior)
     say("drawing the estimated surface and its shells")
-    size = float(cloud.extents.max())
-    surface, shells, missing = _surfaces(model, size)
+    surface, shells, missing = _surfaces(model, cloud)
     mesh = None if surface is None else MeshObject.from_arrays(surface.vertices, surface.faces, scale=1.0)
     if mesh is not None and mesh.watertight and mesh.volume > 0.0:
         center = mesh.center_of_mass
@@ -271,24 +284,48 @@ def fit_model(cloud: PointCloudObject, prior: Prior) -> GPIS:
     return GPIS(best.kernel, prior, best.noise, best.normal_noise).fit(cloud.points, cloud.normals)
 
 
-def _surfaces(model: GPIS, size: float) -> tuple[Surface | None, dict[float, Surface], list[str]]:
-    """The estimated surface with its standard deviation, the shells of one σ, and which of them there are not."""
+def _surfaces(model: GPIS, cloud: PointCloudObject) -> tuple[Surface | None, dict[float, Surface], list[str]]:
+    """The estimated surface with its standard deviation, the shells of one σ, and what of them there is not.
+
+    An endless prior gives an endless surface: that is cut off at the edges of a box about the cloud, without shells.
+    """
+    resolution = float(cloud.extents.max()) / CELLS
     found: dict[float, Surface] = {}
-    missing = []
+    notes = []
     for sigma in (0.0, 1.0, -1.0):
         try:
-            mesh = model.surface(size / CELLS, sigma, MAX_CELLS)
+            found[sigma] = _drawn(model.surface(resolution, sigma, MAX_CELLS))
         except SurfaceError as error:
-            missing.append(f"{f'{sigma:+g} σ shell' if sigma else 'estimated surface'} not drawn: {error}")
-            continue
-        vertices = np.asarray(mesh.vertices)
-        deviation = None
-        if sigma == 0.0:
-            says = model.predict(vertices, gradient=True, variance=True)
-            assert says.gradient is not None and says.variance is not None
-            deviation = np.sqrt(says.variance) / np.maximum(np.linalg.norm(says.gradient, axis=1), 0.1)
-        found[sigma] = Surface(vertices, np.asarray(mesh.faces), deviation)
-    return found.pop(0.0, None), found, missing
+            if sigma == 0.0:
+                notes.append("The surface and its shells have no end: drawn is the surface within the cloud's box.")
+                try:
+                    found[sigma] = _drawn(_cut_off(model, cloud.points, resolution))
+                except SurfaceError as again:
+                    notes[-1] = f"Surface and shells are not drawn: {again}"
+                break
+            notes.append(f"The {sigma:+g} σ shell is not drawn: {error}")
+    estimate = found.pop(0.0, None)
+    if estimate is not None:
+        says = model.predict(estimate.vertices, gradient=True, variance=True)
+        assert says.gradient is not None and says.variance is not None
+        slope = np.maximum(np.linalg.norm(says.gradient, axis=1), FLATTEST)
+        estimate = replace(estimate, deviation=np.sqrt(says.variance) / slope)
+    return estimate, found, notes
+
+
+def _drawn(mesh: trimesh.Trimesh) -> Surface:
+    return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+def _cut_off(model: GPIS, points: Array, resolution: float) -> trimesh.Trimesh:
+    """The solid {mean < 0} within a box about the points."""
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower) + 0.1 * float((upper - lower).max())
+
+    def level(x: Array) -> Array:
+        return np.maximum(model.predict(x).mean, (np.abs(x - middle) - half).max(axis=1))
+
+    return surface_mesh(walk(level, points, resolution, MAX_CELLS))
 
 
 # --- ranking ------------------------------------------------------------------------------------------------------
