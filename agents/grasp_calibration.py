@@ -17,7 +17,7 @@ from agents.statistics import Interval, is_binary, wilson_interval
 Array = NDArray[np.float64]
 
 BINS = 10
-VIEWS, CANDIDATES = 60, 6
+VIEWS, CANDIDATES = 75, 6
 NOT_CLOSED = ("collision", "degenerate", "too wide")  # outcomes in which the fingers never closed
 
 

@@ -15,6 +15,7 @@ OUTCOME_COLORS = {
     "collision": "#c4557c",
     "no grasp": "#8a8f96",
 }
+_ASIDE = 0.006
 _LEAST_LABEL = 0.055  # share of a bar below which its number does not fit
 
 
@@ -69,25 +70,15 @@ def outcome_bars(shares: Mapping[str, Mapping[str, float]], dark: bool) -> bytes
 
 
 def reliability_diagram(curves: Mapping[str, Reliability], dark: bool) -> bytes:
-    """Observed shares over predicted probabilities with Wilson intervals, and how many grasps each bin has."""
+    """Observed shares over predicted probabilities with Wilson intervals, the number of grasps in each bin below."""
     figure, axis = new_figure(dark, 4.4)
     axis.plot([0.0, 1.0], [0.0, 1.0], "--", color=ink(dark), alpha=0.5, lw=1.0)
-    counts = axis.twinx()
-    counts.spines[:].set_visible(False)
-    counts.tick_params(right=False, labelright=False)
-    widest = next(iter(curves.values()))
-    counts.bar(
-        [0.5 * (of.low + of.high) for of in widest.bins], [of.samples for of in widest.bins],
-        width=0.92 / 10, color=ink(dark), alpha=0.12, lw=0,
-    )  # fmt: skip
-    counts.set_ylim(0.0, 4.0 * max(of.samples for of in widest.bins))
-    for of in widest.bins:
-        counts.annotate(
-            str(of.samples), (0.5 * (of.low + of.high), of.samples), (0, 2), textcoords="offset points",
-            ha="center", fontsize=7, color=ink(dark), alpha=0.7,
-        )  # fmt: skip
+    for of in next(iter(curves.values())).bins:
+        axis.text(
+            0.5 * (of.low + of.high), -0.055, str(of.samples), ha="center", va="center", fontsize=8, color=ink(dark)
+        )
     for i, (name, curve) in enumerate(curves.items()):
-        x = [of.predicted for of in curve.bins]
+        x = [of.predicted + _ASIDE * (i - 1) for of in curve.bins]  # whiskers side by side
         y = [of.observed for of in curve.bins]
         errors = [
             [max(of.observed - of.interval.low, 0.0) for of in curve.bins],
@@ -97,11 +88,10 @@ def reliability_diagram(curves: Mapping[str, Reliability], dark: bool) -> bytes:
             x, y, yerr=errors, fmt="o-", ms=5, lw=1.4, capsize=2.4, color=PALETTE[i],
             label=f"{name}: Brier {curve.brier:.3f}",
         )  # fmt: skip
-    axis.set_zorder(counts.get_zorder() + 1)
     axis.set_xlim(-0.02, 1.02)
-    axis.set_ylim(-0.02, 1.02)
+    axis.set_ylim(-0.1, 1.02)
     axis.set_xlabel("probability of force closure")
     axis.set_ylabel("observed share")
     grid_lines(axis, "both", dark)
-    figure.legend(ncols=2, loc="upper right", frameon=False, labelcolor=ink(dark))
+    axis.legend(loc="upper left", frameon=False, labelcolor=ink(dark))
     return png_bytes(figure)

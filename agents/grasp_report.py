@@ -58,7 +58,7 @@ def study(measured: Measured) -> Study:
         *outcomes_section(shares),
         *objects_section(shown(measured.rows), episodes),
         *times_section(times),
-        *calibration_section(reliabilities, VIEWS),
+        *calibration_section(reliabilities, min(VIEWS, measured.episodes)),
     ]
     data = {
         "objects": {name: sorted(tags) for name, tags in episodes.tags.items()},
@@ -205,8 +205,8 @@ def objects_section(rows: Sequence[Row], episodes: Episodes) -> list[str]:
 
 
 def _heat_row(name: str, rates: Mapping[str, float], rows: Sequence[Row], views: str, kind: str = "") -> str:
-    cells = [page.heat(f"{100.0 * rates[row.policy]:.0f}", rates[row.policy]) for row in rows]
-    return page.table_row([name, *cells, views], kind)
+    cells = [f"{100.0 * rates[row.policy]:.0f}" for row in rows]
+    return page.table_row([name, *cells, views], kind, shades={i: rates[row.policy] for i, row in enumerate(rows, 1)})
 
 
 def times_section(times: Mapping[str, PlanningTime]) -> list[str]:
@@ -233,8 +233,8 @@ def calibration_section(reliabilities: Mapping[str, Reliability], views: int) ->
     caption = (
         f"{count} candidates of {PLANNER} on the first {views} pinned views, drawn across the range of their "
         "probability and judged by physics; whiskers are 95 % Wilson intervals (grasps of one view are not quite "
-        "independent), bars count grasps. Where a collision or a moved centre of mass ends a grasp, force closure has "
-        "no say: it is a condition for holding, not a promise."
+        "independent), the numbers count grasps. Force closure is a condition for holding, not a promise: a collision "
+        "on the way or an object that moves under the fingers ends a grasp all the same."
     )
     lines = []
     for name, curve in reliabilities.items():

@@ -32,7 +32,6 @@ tr.best td, td.best { background: var(--best); }
 tr.published td { color: var(--soft); font-style: italic; }
 tr.oracle td { color: var(--soft); }
 tr.group td { font-weight: 600; border-bottom: 0; }
-.heat { display: block; margin: -.5rem -.45rem; padding: .5rem .45rem; }
 tr.missing td { color: var(--soft); font-weight: 400; }
 .notes { color: var(--soft); font-size: .84rem; padding-left: 1.1rem; max-width: 52rem; }
 figure { margin: .8rem 0 0; } figure img { width: 100%; height: auto; display: block; }
@@ -68,12 +67,17 @@ def table(head: Sequence[str], rows: Sequence[str]) -> str:
     return f'<div class="scroll"><table><thead><tr>{heads}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
 
 
-def table_row(cells: Sequence[str], kind: str = "", best: Sequence[int] = ()) -> str:
-    """A row of cells that are HTML already; `best` marks single cells.
+def table_row(
+    cells: Sequence[str], kind: str = "", best: Sequence[int] = (), shades: Mapping[int, float] | None = None
+) -> str:
+    """A row of cells that are HTML already; `best` marks single cells, `shades` colours some by a value in [0, 1].
 
     `kind`: "best", "oracle", "published", "missing", "group" or "".
     """
     marks = [' class="best"' if i in best else "" for i in range(len(cells))]
+    for i, share in (shades or {}).items():
+        strength = round(60.0 * min(max(share, 0.0), 1.0))
+        marks[i] += f' style="background:color-mix(in srgb,var(--accent) {strength}%,transparent)"'
     row_class = f' class="{kind}"' if kind else ""
     return f"<tr{row_class}>" + "".join(f"<td{m}>{c}</td>" for m, c in zip(marks, cells, strict=True)) + "</tr>"
 
@@ -82,14 +86,6 @@ def split_interval(value: str) -> str:
     """The text `mean [low, high]` as HTML, the interval below its mean."""
     mean, bracket, rest = value.partition(" [")
     return f"{text(mean)}<small>{text('[' + rest)}</small>" if bracket else text(value)
-
-
-def heat(value: str, share: float) -> str:
-    """A cell's text on a ground that is the stronger, the closer `share` is to 1."""
-    strength = round(60.0 * min(max(share, 0.0), 1.0))
-    return (
-        f'<span class="heat" style="background:color-mix(in srgb,var(--accent) {strength}%,transparent)">{value}</span>'
-    )
 
 
 def notes(lines: Sequence[str]) -> str:

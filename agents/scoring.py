@@ -118,8 +118,8 @@ GRASPING = Scoring(
     columns=(
         _HELD,
         _STRICT,
-        Column("slip", "slip of held [mm]", 1e3, 1, True, median_of, "held"),
-        Column("turn", "turn of held [°]", float(np.degrees(1.0)), 1, True, median_of, "held"),
+        Column("slip", "slip [mm]", 1e3, 1, True, median_of, "held"),
+        Column("turn", "turn [°]", float(np.degrees(1.0)), 1, True, median_of, "held"),
         Column("collision", "collision [%]", 1e2, 1),
         Column("missed", "missed [%]", 1e2, 1),
         Column("dropped", "dropped [%]", 1e2, 1),

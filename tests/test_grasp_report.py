@@ -1,18 +1,22 @@
 """The comparison of grasp planners: scoring, oracles, paired verdicts, objects, outcomes and calibration."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import toy_env
+from PIL import Image
 from scipy.stats import binomtest, norm
 
-from agents import grasp_plots, grasp_report, table
+from agents import cli, grasp_plots, grasp_report, table
 from agents.bench_setup import GRASP_PLAN, Measured, setup_of
 from agents.evaluation import EvaluationResult
 from agents.files import dumps
 from agents.grasp_calibration import across, bin_of, curves, judge_candidates, reliability
+from agents.play import play
 from agents.report import html_report, paired, pairings
 from agents.scoring import GRASPING, HOLDING, is_learned, scoring_of
 from agents.statistics import mcnemar, wilson_interval
@@ -182,7 +186,7 @@ def test_shares_by_object_and_group() -> None:
     assert rates["concave"]["p"] == rates["elongated"]["p"] == 0.5 and rates["all"]["p"] == 0.75
     assert "off-balance" not in rates
     html = "".join(grasp_report.objects_section([row("p", [1, 1, 0, 1])], episodes))
-    assert html.count('class="heat"') == 5 and "concave, elongated" in html and html.count("<tr") == 6
+    assert html.count("color-mix") == 5 and "concave, elongated" in html and html.count("<tr") == 6
 
 
 def test_groups_weigh_their_objects_equally() -> None:
@@ -264,6 +268,26 @@ def test_figures_are_pictures() -> None:
     rows = [r for r in ROWS if r.values]
     assert grasp_plots.rates(rows, GRASPING.paired, dark=False)[:4] == PNG
     assert grasp_plots.outcome_bars({r.label: grasp_report.outcome_shares(r) for r in rows}, dark=False)[:4] == PNG
+
+
+def test_the_environment_is_given_by_name_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setattr("baselines.policies.POLICIES", toy_env.POLICIES)
+    out = str(tmp_path / "out")
+    assert cli.main(["bench", "--env", toy_env.TOY, "--policy", "p", "--episodes", "2", "--out", out]) == 0
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["settings"]["environment"] == toy_env.TOY
+    assert cli.main(["bench", toy_env.TOY, "--env", GRASP_PLAN]) == 2
+    assert "given twice" in capsys.readouterr().err
+
+
+def test_a_single_step_is_filmed_as_it_was_judged(tmp_path: Path) -> None:
+    small = {"width": 64, "height": 48}
+    options: dict[str, Any] = {"seconds": 0.5, "fps": 10.0, "env_kwargs": small}
+    for policy, frames in (("random", 1 + 5), ("zero", 1 + 1)):  # the view and its judgement; zeros are not tried
+        film = tmp_path / f"{policy}.gif"
+        (ending,) = play(GRASP_PLAN, policy, film, **options)
+        assert ending.outcome in OUTCOMES
+        with Image.open(film) as gif:
+            assert gif.size == (64, 48) and gif.n_frames == frames  # type: ignore[attr-defined]
 
 
 def test_the_study_of_a_short_run() -> None:
