@@ -23,7 +23,8 @@ from agents.provenance import provenance
 from agents.table import aligned
 
 if TYPE_CHECKING:
-    from agents.planning import Plan, Settings
+    from agents.plan_settings import Settings
+    from agents.planning import Plan
 
 SUMMARIES = {
     "too wide": "opposite contacts farther apart than the jaws open (--gripper-width)",
@@ -137,7 +138,7 @@ def plan_html(plan: Plan, settings: Settings, source: str, origin: Mapping[str, 
 
 
 def _parser() -> Parser:
-    from agents.planning import METRICS, RANK, Method, PriorName
+    from agents.plan_settings import METRICS, RANK, Method, PriorName
 
     parser = Parser(prog="aerograsp plan", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("object", metavar="MESH|CLOUD", help="obj stl ply off glb dae, or pcd ply npy npz xyz")
@@ -204,7 +205,8 @@ def main(argv: Sequence[str]) -> int:
     """`aerograsp plan`."""
     args = _parser().parse_args(argv)
     from aerograsp_env.sim.gripper import GripperConfig
-    from agents.planning import Settings, plan
+    from agents.plan_settings import Settings
+    from agents.planning import plan
 
     settings = Settings(
         **{name: getattr(args, name) for name in ("method", "prior", "rank", "top", "seed", "noise", "scale")},
