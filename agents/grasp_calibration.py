@@ -12,12 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aerograsp_env.interfaces import Grasp
 from agents.statistics import Interval, is_binary, wilson_interval
 
 Array = NDArray[np.float64]
 
 BINS = 10
 VIEWS, CANDIDATES = 75, 6
+NEAR = 0.02  # [m] from the closing line to the centre of mass: gravity hardly turns such a grasp
 NOT_CLOSED = ("collision", "degenerate", "too wide")  # outcomes in which the fingers never closed
 
 
@@ -55,6 +57,7 @@ class Judged(NamedTuple):
     held: Array  # (M,) 0 or 1
     strict: Array  # (M,)
     closed: Array  # (M,) 1 where the gripper came to close at all
+    offset: Array  # (M,) [m] distance of the true centre of mass from the closing line
     view: NDArray[np.int64]  # (M,) seed of the view
 
 
@@ -130,30 +133,38 @@ def judge_candidates(
 
     from aerograsp_env.envs.grasp_plan import unpack_cloud
 
-    found: list[tuple[float, bool, bool, bool, int]] = []
+    found: list[tuple[float, ...]] = []
     for seed in tqdm(seeds, desc="calibration", unit="view", leave=False, disable=None if progress else True):
         observation, _ = env.reset(seed=int(seed))
         rng = np.random.default_rng(int(seed))
         proposals = propose(unpack_cloud(observation), rng)
-        pfc = np.clip(np.asarray(proposals.pfc, dtype=np.float64), 0.0, 1.0)
-        for index in across(pfc, candidates, rng).tolist():
-            verdict = env.judge(proposals.grasp(index))
-            found.append((pfc[index], verdict.held, verdict.strict, verdict.outcome not in NOT_CLOSED, int(seed)))
-    columns = np.array(found, dtype=np.float64).reshape(-1, 5).T
-    pfc, held, strict, closed, view = columns
-    return Judged(pfc, held, strict, closed, view.astype(np.int64))
+        predicted = np.clip(np.asarray(proposals.pfc, dtype=np.float64), 0.0, 1.0)
+        for index in across(predicted, candidates, rng).tolist():
+            grasp = proposals.grasp(index)
+            verdict = env.judge(grasp)
+            closes = verdict.outcome not in NOT_CLOSED
+            distance = center_of_mass_offset(env, grasp)
+            found.append((predicted[index], verdict.held, verdict.strict, closes, distance, int(seed)))
+    pfc, held, strict, closed, offset, view = np.array(found, dtype=np.float64).reshape(-1, 6).T
+    return Judged(pfc, held, strict, closed, offset, view.astype(np.int64))
+
+
+def center_of_mass_offset(env: Any, grasp: Grasp) -> float:
+    """Distance of the object's true centre of mass from the closing line [m]."""
+    center = env.T_cloud_object[:3, :3] @ env.object.center_of_mass + env.T_cloud_object[:3, 3]
+    return float(np.linalg.norm(np.cross(center - grasp.center, grasp.closing_axis)))
 
 
 def curves(judged: Judged) -> dict[str, Reliability]:
-    """Held and strict, each over all grasps and over those that closed: PFC knows nothing of collisions.
+    """Reliability of PFC for: held; strict; held, of what PFC can speak of.
 
-    Empty where there are no grasps.
+    PFC knows neither collisions nor gravity: the third curve is over the grasps that closed with the centre of mass
+    within 20 mm of the closing line. A curve without grasps is left out.
     """
-    closed = judged.closed == 1.0
+    apt = (judged.closed == 1.0) & (judged.offset < NEAR)
     kinds: Mapping[str, tuple[Array, Array]] = {
         "held": (judged.pfc, judged.held),
         "strict": (judged.pfc, judged.strict),
-        "held, collisions aside": (judged.pfc[closed], judged.held[closed]),
-        "strict, collisions aside": (judged.pfc[closed], judged.strict[closed]),
+        "held, closed near the centre of mass": (judged.pfc[apt], judged.held[apt]),
     }
     return {name: reliability(p, y) for name, (p, y) in kinds.items() if p.size}

@@ -17,7 +17,7 @@ import numpy as np
 
 from agents import page
 from agents.bench_setup import Measured, Study
-from agents.grasp_calibration import VIEWS, Reliability, curves, judge_candidates
+from agents.grasp_calibration import NEAR, VIEWS, Reliability, curves, judge_candidates
 from agents.scoring import GRASPING
 from agents.table import Row
 
@@ -127,12 +127,15 @@ def outcome_shares(row: Row) -> dict[str, float]:
 
 
 def planning_times(env: Any, policies: Mapping[str, Any], seeds: Sequence[int]) -> dict[str, PlanningTime]:
-    """Processor time of `policy.predict` on pinned views, one thread, after `WARM_UP` views that do not count."""
+    """Processor time of `policy.predict` on pinned views, one thread, after `WARM_UP` views that do not count.
+
+    Oracles, which plan from no view, are left out.
+    """
     found = {}
     with one_thread():
         for name, policy in policies.items():
-            if callable(watch := getattr(policy, "watch", None)):
-                watch([env])
+            if callable(getattr(policy, "watch", None)):
+                continue
             state, spent = None, []
             for seed in [*seeds[:WARM_UP], *seeds]:
                 observation, _ = env.reset(seed=int(seed))
@@ -228,13 +231,12 @@ def calibration_section(reliabilities: Mapping[str, Reliability], views: int) ->
 
     if not reliabilities:
         return []
-    drawn = {name: curve for name, curve in reliabilities.items() if not name.startswith("strict,")}
     count = next(iter(reliabilities.values())).samples
     caption = (
         f"{count} candidates of {PLANNER} on the first {views} pinned views, drawn across the range of their "
         "probability and judged by physics; whiskers are 95 % Wilson intervals (grasps of one view are not quite "
-        "independent), the numbers count grasps. Force closure is a condition for holding, not a promise: a collision "
-        "on the way or an object that moves under the fingers ends a grasp all the same."
+        "independent), the numbers count grasps. The probability knows neither collisions on the way nor gravity’s "
+        f"torque: near means a closing line at most {1e3 * NEAR:.0f} mm from the true centre of mass."
     )
     lines = []
     for name, curve in reliabilities.items():
@@ -249,7 +251,7 @@ def calibration_section(reliabilities: Mapping[str, Reliability], views: int) ->
     )
     return [
         "<h2>Does the probability of force closure tell?</h2>",
-        page.figure(lambda dark: grasp_plots.reliability_diagram(drawn, dark), alt, caption),
+        page.figure(lambda dark: grasp_plots.reliability_diagram(reliabilities, dark), alt, caption),
         page.table(head, lines),
         page.notes([said]),
     ]

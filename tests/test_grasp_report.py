@@ -169,12 +169,15 @@ class World:
 
     def reset(self, *, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
         tags = (frozenset({"concave", "elongated"}), frozenset[str]())[seed % 2]
-        self.object = SimpleNamespace(name=("mug", "ball")[seed % 2], tags=tags)
+        self.object = SimpleNamespace(
+            name=("mug", "ball")[seed % 2], tags=tags, center_of_mass=np.array([0.0, 0.0, 1.0])
+        )
+        self.T_cloud_object = np.diag([1.0, -1.0, -1.0, 1.0])
         self.rng = np.random.default_rng(seed)
         return {"x": np.zeros(1, np.float32)}, {}
 
-    def judge(self, pfc: float) -> SimpleNamespace:
-        held = bool(self.rng.random() < self.truth(pfc))
+    def judge(self, grasp: Any) -> SimpleNamespace:
+        held = bool(self.rng.random() < self.truth(grasp.pfc))
         return SimpleNamespace(held=held, strict=False, outcome="held" if held else "collision")
 
 
@@ -248,15 +251,22 @@ def test_candidates_are_drawn_across_the_range() -> None:
 def test_candidates_are_judged_and_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("aerograsp_env.envs.grasp_plan.unpack_cloud", lambda observation: observation)
 
-    def propose(cloud: Any, rng: np.random.Generator) -> SimpleNamespace:
-        pfc = rng.random(40)
-        return SimpleNamespace(pfc=pfc, grasp=lambda i: pfc[i])
+    along = np.array([0.0, 1.0, 0.0])
+
+    def propose(cloud: Any, rng: np.random.Generator) -> SimpleNamespace:  # half of the lines are 30 mm too low
+        pfc, low = rng.random(40), 0.03 * rng.integers(0, 2, 40)
+        return SimpleNamespace(
+            pfc=pfc,
+            grasp=lambda i: SimpleNamespace(pfc=pfc[i], center=np.array([0.0, 5.0, -1.0 - low[i]]), closing_axis=along),
+        )
 
     judged = judge_candidates(World(lambda pfc: pfc), range(100), propose, 8)
     assert judged.pfc.size == 800 and len(set(judged.view)) == 100
     found = curves(judged)
     assert found["held"].calibration_error < 0.08
-    assert found["held, collisions aside"].base_rate == 1.0  # this judge lets nothing fail in another way
+    assert set(np.round(judged.offset, 9)) == {0.0, 0.03}
+    near = found["held, closed near the centre of mass"]
+    assert near.base_rate == 1.0 and near.samples == np.sum(judged.held[judged.offset < 0.02])  # the others collided
     assert grasp_plots.reliability_diagram(found, dark=True)[:4] == PNG
     html = "".join(grasp_report.calibration_section(found, 100))
     assert "Brier" in html and "800 candidates" in html and grasp_report.calibration_section({}, 0) == []
