@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.envs.options import choose
-from aerograsp_env.sim.objects import TRAIN_FAMILIES, VALIDATION_FAMILIES, GraspObject, test_objects
+from aerograsp_env.sim.objects import TRAIN_FAMILIES, VALIDATION_FAMILIES, GraspObject, from_mesh, test_objects
 from aerograsp_env.spatial import as_array, matrix_from_quat_wxyz
 
 Array = NDArray[np.float64]
@@ -86,8 +86,6 @@ def _maker(one: Any) -> tuple[str, Maker]:
     if isinstance(one, GraspObject):
         return one.name, _constant(one)
     if isinstance(one, Path) or (isinstance(one, str) and Path(one).suffix):
-        from aerograsp_env.sim.objects.from_mesh import from_mesh  # needs a library of its own to decompose
-
         item = from_mesh(one).object
         return item.name, _constant(item)
     fixed = {item.name: item for item in test_objects()}

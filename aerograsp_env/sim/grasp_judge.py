@@ -60,7 +60,7 @@ class JudgeConfig:
     load_time: float = 0.2  # [s] over which the weight comes
     lift: float = 0.15  # [m]
     lift_time: float = 0.5  # [s]
-    shake_acceleration: float = 4.0  # [m/s²] amplitude along each axis
+    shake_acceleration: float = 4.0  # [m/s²] amplitude along each axis; running in and out reaches 1.6 times that
     shake_frequencies: tuple[float, float, float] = (3.0, 4.0, 5.0)  # [Hz] along closing, cross and approach axis
     shake_time: float = 1.0  # [s]
     hold_time: float = 0.1  # [s] of stillness at the end

@@ -26,10 +26,11 @@ FINGER_ARMATURE = 0.30  # [kg] the drive's inertia, seen at the finger
 CLOSING_SPEED = 0.20  # [m/s] at which the drive's friction balances the closing force
 COUPLING = 2.0e4  # [N/m] stiffness of the drive that moves both fingers alike
 
-# Contacts that neither creep nor pop: a stiff, critically damped constraint whose impedance saturates within 1 mm.
-_SOLREF = (0.005, 1.0)
-_SOLIMP = (0.97, 0.995, 0.001, 0.5, 2.0)
-_IMPRATIO = 20.0  # friction harder than the normal direction, or a held object creeps
+# Pads as soft as rubber (0.2 mm under the closing force) and friction much harder than they are. Stiffer pads lose
+# their contact for single steps while they are shaken, and snap back; with softer friction a held object creeps.
+_SOLREF = (0.01, 1.0)
+_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
+_IMPRATIO = 100.0
 _TORSION = 0.002  # [m] torsional friction of one contact point, as a lever of its normal force
 _ROLLING = 1e-4  # [m]; unused with four-dimensional contacts
 
