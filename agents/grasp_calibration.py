@@ -18,7 +18,7 @@ from agents.statistics import Interval, is_binary, wilson_interval
 Array = NDArray[np.float64]
 
 BINS = 10
-VIEWS, CANDIDATES = 75, 6
+VIEWS, CANDIDATES = 75, 12
 NEAR = 0.02  # [m] from the closing line to the centre of mass: gravity hardly turns such a grasp
 NOT_CLOSED = ("collision", "degenerate", "too wide")  # outcomes in which the fingers never closed
 

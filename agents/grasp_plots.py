@@ -93,5 +93,5 @@ def reliability_diagram(curves: Mapping[str, Reliability], dark: bool) -> bytes:
     axis.set_xlabel("probability of force closure")
     axis.set_ylabel("observed share")
     grid_lines(axis, "both", dark)
-    axis.legend(loc="upper left", frameon=False, labelcolor=ink(dark))
+    figure.legend(ncols=len(curves), loc="upper right", frameon=False, labelcolor=ink(dark), fontsize=8.5)
     return png_bytes(figure)
