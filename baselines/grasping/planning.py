@@ -16,8 +16,9 @@ from aerograsp_env.interfaces import Grasp
 from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping.antipodal import closing_angles, line_distance
 from baselines.grasping.candidates import GraspCandidates
+from baselines.grasping.clearance import point_collisions, swept_boxes
 from baselines.grasping.contacts import Array
-from baselines.grasping.on_gpis import grasps_on_gpis
+from baselines.grasping.on_gpis import grasps_on_gpis, surface_points
 from baselines.objects import GPIS, Constant, Prior, SquaredExponential, fit_ellipsoid
 from baselines.objects.sampling import farthest_point_indices
 
@@ -37,6 +38,8 @@ CONTEXT = (
     "closing_to_up",
     "size",
     "slenderness",
+    "tightness",
+    "room",
 )
 """What is known of a candidate beside the points, in the order of `Proposals.context`."""
 
@@ -58,8 +61,12 @@ class PlannerConfig:
     deviation: float = 0.25  # of the surface about the prior
     level: float = 0.5  # of the constant prior
     normal_noise: float = 0.15  # of each component
-    starts: int = 140
-    samples: int = 150
+    starts: int = 300
+    samples: int = 100
+    clearance: float = 0.012  # [m] wanted between each open pad and its contact
+    unseen_approach: float = 0.5  # weight of coming from the side that was not seen
+    tightness: float = 0.5  # weight of having little room
+    room: float = 0.005  # [m] that is little
     reach: float = 0.015  # [m] from the centre of mass at which the preference has fallen to e^−1/2
 
     def __post_init__(self) -> None:
@@ -68,7 +75,7 @@ class PlannerConfig:
             if field.name == "prior":
                 if value not in ("ellipsoid", "constant"):
                     raise ValueError(f"prior: expected 'ellipsoid' or 'constant', got {value!r}")
-            elif not 0.0 < value < math.inf:
+            elif not 0.0 <= value < math.inf:
                 raise ValueError(f"{field.name}: expected a positive value, got {value!r}")
 
 
@@ -163,21 +170,56 @@ def propose(
     gripper = gripper or GripperConfig()
     estimate = estimate_object(points, normals, noise, viewpoint, config)
     found = grasps_on_gpis(
-        estimate.model, gripper, config.starts, rng, estimate.center, friction, config.samples, approaches=8
+        estimate.model,
+        gripper,
+        config.starts,
+        rng,
+        estimate.center,
+        friction,
+        config.samples,
+        approaches=8,
+        clearance=config.clearance,
     )
     pfc = np.asarray(found.score)
-    distance = line_distance(found.positions, estimate.center) if len(found) else np.empty(0)
-    # The direction from which the gripper comes matters little where it has room; straight from the viewer it is safe.
-    score = np.log(np.maximum(pfc, 1e-3)) - 0.5 * (distance / config.reach) ** 2
+    if not len(found):
+        return Proposals(found, pfc, pfc, np.empty((0, len(CONTEXT))), estimate)
+    distance = line_distance(found.positions, estimate.center)
+    sight = viewpoint - estimate.center
+    beside = found.approach_axes @ (sight / np.linalg.norm(sight))
+    tight = _tightness(found, estimate, points, gripper, config.room)
+    score = (
+        np.log(np.maximum(pfc, 1e-3))
+        - 0.5 * (distance / config.reach) ** 2
+        - config.unseen_approach * beside
+        - config.tightness * tight
+    )
     order = np.argsort(-score, kind="stable")
     found = found.take(order)
-    context = _context(found, pfc[order], distance[order], estimate, viewpoint)
+    context = _context(found, pfc[order], distance[order], tight[order], estimate, viewpoint)
     return Proposals(found, pfc[order], score[order], context, estimate)
 
 
-def _context(found: GraspCandidates, pfc: Array, distance: Array, estimate: ObjectEstimate, viewpoint: Array) -> Array:
-    if not len(found):
-        return np.empty((0, len(CONTEXT)))
+def _tightness(
+    found: GraspCandidates, estimate: ObjectEstimate, points: Array, gripper: GripperConfig, room: float
+) -> Array:
+    """How many of two grippers, grown by `room` [m] and by twice that, would touch the estimated surface: (G,)."""
+    data = estimate.points
+    margin = 0.25 * float(np.ptp(data, axis=0).max())
+    surface = surface_points(estimate.model, data.min(axis=0) - margin, data.max(axis=0) + margin, 4000)
+    body = np.concatenate([points, surface])
+    x, z = found.closing_axes, found.approach_axes
+    rotations = np.stack([x, np.cross(z, x), z], axis=2)
+    hits = np.zeros(len(found))
+    for grown in (room, 2.0 * room):
+        boxes = swept_boxes(gripper, found.widths, found.contact_widths, tolerance=-grown)
+        boxes[:, 5:] = boxes[:, 2:4]  # not the closing fingers: they are meant to come close
+        hits += point_collisions(body, rotations, found.centers, boxes) >= 0
+    return hits
+
+
+def _context(
+    found: GraspCandidates, pfc: Array, distance: Array, tight: Array, estimate: ObjectEstimate, viewpoint: Array
+) -> Array:
     contacts = found.positions.reshape(-1, 3)
     unique, inverse = np.unique(contacts, axis=0, return_inverse=True)
     variance = estimate.model.predict(unique, variance=True).variance
@@ -201,5 +243,7 @@ def _context(found: GraspCandidates, pfc: Array, distance: Array, estimate: Obje
         np.abs(found.closing_axes[:, 2]),
         np.full(len(found), estimate.axes[1]),
         np.full(len(found), estimate.axes[2] / estimate.axes[0]),
+        tight,
+        found.widths - found.contact_widths,
     ]
     return np.stack(columns, axis=1)
