@@ -154,6 +154,18 @@ def test_contacts_are_where_the_fingers_close_and_point_inwards():
     np.testing.assert_allclose(normals[:, 0], -np.sign(local[:, 0]), atol=1e-3)
 
 
+@pytest.mark.parametrize(("angles", "least", "most"), [((0.0, 15.0), 0.98, 1.0), ((47.0, 75.0), 0.0, 0.25)])
+def test_grasps_within_the_friction_cone_hold_and_those_far_outside_do_not(angles, least, most):
+    """Lines across a cylinder beside its axis meet its side at asin(offset / radius) from the normal; the cone: 35°."""
+    rng, item, held = np.random.default_rng(0), cylinder(), []
+    for k in range(40):
+        offset = 0.03 * np.sin(np.radians(rng.uniform(*angles)))
+        turn = pose(Rotation.random(random_state=k).as_matrix())
+        at = grasp(turn[:3, :3] @ [0.0, -offset, rng.uniform(-0.01, 0.01)], turn[:3, 0], turn[:3, 1])
+        held.append(judge_grasp(item, at, turn).held)
+    assert least <= np.mean(held) <= most
+
+
 # invariance and repeatability -----------------------------------------------------------------------
 
 

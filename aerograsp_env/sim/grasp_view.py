@@ -24,7 +24,7 @@ CAMERAS: dict[str, tuple[float, float, float]] = {  # azimuth from the depth cam
     "front": (math.radians(-50.0), math.radians(-12.0), 0.75),
     "view": (0.0, math.nan, 0.5),  # where the depth camera stands, at its elevation
 }
-_FOVY = math.radians(30.0)
+_FOVY = math.radians(36.0)
 _FLOOR = 0.40  # [m] below the object
 _LIFT_IN_PICTURE = 0.06  # [m] above the object's middle that the camera looks at, once there is a gripper
 _POINT_COLOR = np.array([20, 200, 230], dtype=np.uint8)
