@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.bench_setup import GRASP_PLAN
 from agents.files import writable_folder, write_atomic
 
-GRASP_PLAN = "aerograsp/GraspPlan-v0"
 BLOCK = 25  # views a file
 VERSION = 1
 LABELS = ("held", "strict")
@@ -103,10 +103,10 @@ def _run(jobs: list[tuple[Path, str, int, int]], workers: int) -> Iterator[Path]
 def label_block(path: Path, objects: str, first_seed: int, grasps: int) -> Path:
     """Write one block; returns its path."""
     import gymnasium
-    from aerograsp_env.envs.grasp_plan import unpack_cloud
-    from baselines.policies.grasp_plan import CONTEXT, planner
 
+    from aerograsp_env.envs.grasp_plan import unpack_cloud
     from aerograsp_env.sim.gripper import gripper_pose
+    from baselines.policies.grasp_plan import CONTEXT, planner
 
     propose = planner("gpis")
     env: Any = gymnasium.make(GRASP_PLAN, objects=objects, disable_env_checker=True).unwrapped

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from agents.arguments import INTERRUPTED, Parser, add_json, guarded, one_line
+from agents.bench_setup import GRASP_PLAN
 from agents.checkpoint import CheckpointError, load_checkpoint
 from agents.files import to_json, writable_folder, write_json
 from agents.policies import NAMESPACE, env_spec
@@ -92,6 +93,10 @@ def default_folder(env_id: str, config: TrainConfig) -> Path:
 
 def main(argv: list[str]) -> int:
     """`aerograsp train ID`."""
+    if GRASP_PLAN in argv[:1]:
+        from agents.grasp_training import main as train_grasps
+
+        return train_grasps(argv)
     parser = Parser(
         prog="aerograsp train",
         description="Train a policy by PPO, alone or over an analytic policy.",

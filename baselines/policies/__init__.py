@@ -10,4 +10,12 @@ POLICIES: dict[str, dict[str, str]] = {
         "pid": "baselines.policies.dock_attach:pid",
         "pid-tuned": "baselines.policies.dock_attach:pid_tuned",
     },
+    "aerograsp/GraspPlan-v0": {
+        "gpis": "baselines.policies.grasp_plan:gpis",
+        "gpis-constant": "baselines.policies.grasp_plan:gpis_constant",
+        "cloud": "baselines.policies.grasp_plan:cloud",
+        "com": "baselines.policies.grasp_plan:com",
+        "random-eligible": "baselines.policies.grasp_plan:random_eligible",
+        "oracle-mesh": "baselines.policies.grasp_plan:oracle_mesh",
+    },
 }

@@ -2,7 +2,7 @@
 
 | policy | candidates | ranking |
 | --- | --- | --- |
-| `gpis` | implicit surface, a fitted ellipsoid its prior | probability of force closure, distance to the centre of mass |
+| `gpis` | implicit surface, its prior a fitted ellipsoid | force closure, distance to the centre of mass, room |
 | `gpis-constant` | the same with a constant prior | the same |
 | `cloud` | rays through the seen points | friction to spare, distance to the middle of the points |
 | `com` | as `gpis`, but whatever the friction cone says | distance to the centre of mass only |
