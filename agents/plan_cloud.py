@@ -148,27 +148,25 @@ def _surfaces(model: GPIS, cloud: PointCloudObject) -> tuple[Surface | None, dic
     notes = []
     for sigma in (0.0, 1.0, -1.0):
         try:
-            found[sigma] = _drawn(model.surface(resolution, sigma, MAX_CELLS))
+            found[sigma] = _drawn(model, model.surface(resolution, sigma, MAX_CELLS))
         except SurfaceError as error:
             if sigma == 0.0:
                 notes.append("The surface and its shells have no end: drawn is the surface within the cloud's box.")
                 try:
-                    found[sigma] = _drawn(_cut_off(model, cloud.points, resolution))
+                    found[sigma] = _drawn(model, _cut_off(model, cloud.points, resolution))
                 except SurfaceError as again:
                     notes[-1] = f"Surface and shells are not drawn: {again}"
                 break
             notes.append(f"The {sigma:+g} σ shell is not drawn: {error}")
-    estimate = found.pop(0.0, None)
-    if estimate is not None:
-        says = model.predict(estimate.vertices, gradient=True, variance=True)
-        assert says.gradient is not None and says.variance is not None
-        slope = np.maximum(np.linalg.norm(says.gradient, axis=1), FLATTEST)
-        estimate = replace(estimate, deviation=np.sqrt(says.variance) / slope)
-    return estimate, found, notes
+    return found.pop(0.0, None), found, notes
 
 
-def _drawn(mesh: trimesh.Trimesh) -> Surface:
-    return Surface(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+def _drawn(model: GPIS, mesh: trimesh.Trimesh) -> Surface:
+    vertices = np.asarray(mesh.vertices)
+    says = model.predict(vertices, gradient=True, variance=True)
+    assert says.gradient is not None and says.variance is not None
+    slope = np.maximum(np.linalg.norm(says.gradient, axis=1), FLATTEST)
+    return Surface(vertices, np.asarray(mesh.faces), np.sqrt(says.variance) / slope)
 
 
 def _cut_off(model: GPIS, points: Array, resolution: float) -> trimesh.Trimesh:

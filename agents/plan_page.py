@@ -20,6 +20,8 @@ Faces = NDArray[np.integer]
 RANK_COLORS = np.array([[13, 60, 140], [31, 120, 180], [65, 182, 196], [161, 218, 180]])  # best … last
 SURFACE = "#b9c0c8"
 UNSURE = [[0.0, "#c9cfd6"], [0.35, "#f2c46d"], [0.7, "#e0652f"], [1.0, "#8f1d2c"]]
+LEAST_UNSURE = 2.0  # [mm] a surface that is known better everywhere does not look unsure
+COINCIDENT = 0.003  # of a shell's size: nearer to the surface it is not drawn
 SHELLS = {1: "#8a6fc4", -1: "#3c9d6e"}  # outer, inner
 GREY = "#838b95"  # legible on light and on dark pages
 _BOX_CORNERS = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], dtype=np.float64)
@@ -76,7 +78,7 @@ class Surface:
 
     vertices: Array  # (V, 3) [m]
     faces: Faces  # (F, 3)
-    deviation: Array | None = None  # (V,) [m] standard deviation of the surface there; colours it
+    deviation: Array | None = None  # (V,) [m] standard deviation of the surface there
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +125,9 @@ def figure(
     if scene.surface is not None:
         traces.append(_object_trace(scene.surface, seen=scene.points is not None))
     for sigma, shell in sorted((scene.shells or {}).items()):
+        shell = _apart(shell)
+        if not len(shell.faces):
+            continue
         color = SHELLS[1 if sigma > 0.0 else -1]
         name = f"{'+' if sigma > 0.0 else '−'}{abs(sigma):g} σ shell"
         traces.append({**_mesh(shell), "name": name, "color": color, "opacity": 0.16, "showlegend": True})
@@ -215,6 +220,14 @@ def _mesh(surface: Surface) -> dict[str, Any]:
     return {"type": "mesh3d", "x": x, "y": y, "z": z, "i": i, "j": j, "k": k}
 
 
+def _apart(shell: Surface) -> Surface:
+    """The part of a shell that is clear of the surface; the rest coincides with it, and would flicker."""
+    if shell.deviation is None:
+        return shell
+    clear = shell.deviation[shell.faces].max(axis=1) > COINCIDENT * np.ptp(shell.vertices, axis=0).max()
+    return Surface(shell.vertices, shell.faces[clear])
+
+
 def _object_trace(surface: Surface, seen: bool) -> dict[str, Any]:
     trace = {**_mesh(surface), "name": "estimated surface" if seen else "object", "lighting": _LIGHT}
     trace.update(showlegend=True, flatshading=not seen, opacity=1.0)
@@ -225,7 +238,7 @@ def _object_trace(surface: Surface, seen: bool) -> dict[str, Any]:
         "intensity": (1e3 * surface.deviation).astype(np.float32),
         "colorscale": UNSURE,
         "cmin": 0.0,
-        "cmax": float(max(1e3 * surface.deviation.max(), 1e-3)),
+        "cmax": float(max(1e3 * surface.deviation.max(), LEAST_UNSURE)),
         "colorbar": {"title": {"text": "std of the<br>surface [mm]"}, "thickness": 12, "len": 0.6, "x": 0.99},
         "hovertemplate": "std %{intensity:.1f} mm<extra></extra>",
     }

@@ -282,6 +282,11 @@ def test_every_part_of_the_scene_is_a_trace_that_plotly_accepts() -> None:
     shown = [trace["visible"] for trace in made["data"] if "meta" in trace]
     assert shown == [True] * 4 + ["legendonly"] * 8
     assert "PFC: 1.0" in made["data"][5]["hovertemplate"]
+    deviation = np.where(ball.vertices[:, 0] > 0.0, 0.01, 0.0)
+    half = figure(Scene(surface, shells={1.0: Surface(ball.vertices, ball.faces, deviation)}), [], [], GRIPPER)
+    assert 0 < len(half["data"][1]["i"]) < len(ball.faces)  # only where the shell is clear of the surface
+    exact = figure(Scene(surface, shells={1.0: Surface(ball.vertices, ball.faces, 0.0 * deviation)}), [], [], GRIPPER)
+    assert len(exact["data"]) == 1
     assert Figure(figure(Scene(None, ball.vertices), [], [], GRIPPER)).data[0].type == "scatter3d"
 
 
