@@ -56,16 +56,18 @@ class PlannerConfig:
     """
 
     prior: Literal["ellipsoid", "constant"] = "ellipsoid"
-    points: int = 130  # of the cloud, evenly spread
-    length_scale: float = 0.9
+    points: int = 200  # of the cloud, evenly spread
+    length_scale: float = 0.6
     deviation: float = 0.25  # of the surface about the prior
-    level: float = 0.5  # of the constant prior
-    normal_noise: float = 0.15  # of each component
+    level: float = 0.3  # of the constant prior
+    bare_length_scale: float = 0.4  # with the constant prior
+    trust: float = 0.3  # of the centre of mass with the ellipsoid for a prior, over that with the constant
+    normal_noise: float = 0.12  # of each component
     starts: int = 300
     samples: int = 100
-    clearance: float = 0.012  # [m] wanted between each open pad and its contact
-    unseen_approach: float = 0.5  # weight of coming from the side that was not seen
-    tightness: float = 0.5  # weight of having little room
+    clearance: float = 0.018  # [m] wanted between each open pad and its contact
+    unseen_approach: float = 1.0  # weight of coming from the side that was not seen
+    tightness: float = 1.0  # weight of having little room
     room: float = 0.005  # [m] that is little
     reach: float = 0.015  # [m] from the centre of mass at which the preference has fallen to e^−1/2
 
@@ -127,11 +129,19 @@ def estimate_object(
     if not size > 1e-4:
         raise ValueError(f"points: expected some that are apart, got a spread of {size:.2g} m")
     ellipsoid = fit_ellipsoid(points, normals, viewpoint).prior
-    prior: Prior = ellipsoid if config.prior == "ellipsoid" else Constant(config.level * size)
-    kernel = SquaredExponential(config.length_scale * size, (config.deviation * size) ** 2)
-    model = GPIS(kernel, prior, noise=1e-3, normal_noise=config.normal_noise).fit(points, normals, noise)
     axes = np.sort(np.asarray(ellipsoid.axes, dtype=np.float64))
-    return ObjectEstimate(model, _centroid(model, points, float(axes[-1])), axes, points)
+
+    def model(prior: Prior, length_scale: float) -> tuple[GPIS, Array]:
+        kernel = SquaredExponential(length_scale * size, (config.deviation * size) ** 2)
+        found = GPIS(kernel, prior, noise=1e-3, normal_noise=config.normal_noise).fit(points, normals, noise)
+        return found, _centroid(found, points, float(axes[-1]))
+
+    bare, bare_center = model(Constant(config.level * size), config.bare_length_scale)
+    if config.prior == "constant":
+        return ObjectEstimate(bare, bare_center, axes, points)
+    shaped, center = model(ellipsoid, config.length_scale)
+    # With a shape for a prior the unseen side comes out too large, without one too small.
+    return ObjectEstimate(shaped, config.trust * center + (1.0 - config.trust) * bare_center, axes, points)
 
 
 def _centroid(model: GPIS, points: Array, reach: float) -> Array:
