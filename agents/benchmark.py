@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import gymnasium
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
-from agents.bench_setup import DOCK, SETUPS, Measured, Study, setup_of
+from agents.bench_setup import DOCK, GRASP_PLAN, SETUPS, Measured, Study, setup_of
 from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import PolicyUnavailable, env_spec, spaces
 from agents.provenance import provenance
@@ -187,9 +187,14 @@ def film_of(
 def main(argv: list[str]) -> int:
     """`aerograsp bench`."""
     if "--speed" in argv:
-        from agents.speed import main as speed_main
+        rest = [argument for argument in argv if argument not in ("--speed", "--env")]
+        if GRASP_PLAN in rest:
+            from agents.speed_grasp import main as speed_main
 
-        return speed_main([argument for argument in argv if argument != "--speed"])
+            rest.remove(GRASP_PLAN)
+        else:
+            from agents.speed import main as speed_main
+        return speed_main([argument for argument in rest if argument != DOCK])
     parser = Parser(prog="aerograsp bench", description="Compare policies on pinned episodes: table, JSON and report.")
     parser.add_argument("id", metavar="ID", nargs="?", default=None, help=f"environment (default: {DOCK})")
     parser.add_argument("--env", metavar="ID", default=None, help="the same by name")
