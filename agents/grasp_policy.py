@@ -71,9 +71,7 @@ def load_grasp_policy(path: str | Path) -> GraspPolicy:
     except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise CheckpointError(f"{path}: the weights do not fit the card ({str(error).splitlines()[0]})") from None
     if (count := layout.context) != len(CONTEXT):
-        raise CheckpointError(
-            f"{path}: expected {len(CONTEXT)} context values as the planner has, got {count}"
-        )
+        raise CheckpointError(f"{path}: expected {len(CONTEXT)} context values as the planner has, got {count}")
     return GraspPolicy(LearnedPlan(network))
 
 
