@@ -20,6 +20,10 @@ from baselines.grasping.planning import Proposals
 from baselines.policies.grasp_plan import CONTEXT, GraspPolicy, planner
 
 
+SCORED = 96
+"""Candidates that the network looks at, the best of the analytic ranking: it is to decide within 200 ms."""
+
+
 class LearnedPlan:
     """One network's choice among the candidates of `planner("gpis")`.
 
@@ -37,16 +41,16 @@ class LearnedPlan:
 
     @torch.no_grad()
     def score(self, cloud: Cloud, proposals: Proposals) -> NDArray[np.float64]:
-        """(G,) mean of the probabilities of being held and of being held strictly."""
+        """(min(G, SCORED),) mean of the probabilities of being held and of being held strictly."""
         from agents.networks.grasp_fit import batch_of
 
-        count = len(proposals)
+        count = min(len(proposals), SCORED)
         poses = np.stack([gripper_pose(proposals.grasp(index)) for index in range(count)])
         view = Labelled(
             cloud.points[None].astype(np.float32),
             cloud.normals[None].astype(np.float32),
             poses[None].astype(np.float32),
-            proposals.context[None].astype(np.float32),
+            proposals.context[None, :count].astype(np.float32),
             np.zeros((1, count, 2), dtype=np.float32),
             np.ones((1, count), dtype=np.bool_),
         )
