@@ -29,7 +29,14 @@ GL_PLATFORMS = {  # MUJOCO_GL: what it needs
     "osmesa": "a machine without display: apt install libosmesa6",
     "glfw": "a machine with a display",
 }
-_MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pin": "pinocchio"}  # where not the package's name
+_MODULES = {  # where not the package's name
+    "libigl": "igl",
+    "opencv-python-headless": "cv2",
+    "pillow": "PIL",
+    "pin": "pinocchio",
+    "pycollada": "collada",
+    "scikit-learn": "sklearn",
+}
 _TIMEOUT = 60.0  # [s] for one trial
 _COMPILE_TIMEOUT = 300.0  # [s] for the kernel, which is compiled on its first use
 
@@ -116,7 +123,7 @@ def _requirements() -> list[tuple[str, str, str]]:
         match = re.match(r"([A-Za-z0-9._-]+)(?:\s*>=\s*([0-9.]+))?", line)
         extra = re.search(r"extra\s*==\s*['\"](\w+)['\"]", line)
         group = extra.group(1) if extra else ""
-        if match and group in ("", "learn", "dev"):
+        if match and group in ("", "learn", "mesh", "dev"):
             found.append((match.group(1), match.group(2) or "0", group))
     return found
 

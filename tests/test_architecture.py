@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -169,3 +172,42 @@ print("reference")
 """
     )
     assert lines == ["zero", "random", "pid", "pid-tuned", "lqg", "reference"]
+
+
+def test_the_copyleft_part_of_libigl_is_never_loaded() -> None:
+    """libigl is MPL 2.0, but its wheel holds GPL modules too (`igl.copyleft`): what is loaded must do without them."""
+    modules = run(
+        f"""
+import pkgutil, importlib
+import numpy, trimesh
+import aerograsp_env, baselines, agents
+for package in (baselines, aerograsp_env):
+    for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+        importlib.import_module(module.name)
+from baselines.objects import MeshObject
+cube = MeshObject.from_trimesh(trimesh.creation.box((0.1, 0.1, 0.1)))
+points = numpy.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]])
+cube.ray_hits(points, numpy.ones((2, 3)))
+cube.signed_distance(points)
+cube.report
+{PRINT_LOADED}"""
+    )
+    assert loaded(modules, "igl")
+    assert [module for module in modules if "copyleft" in module] == []
+
+
+def test_no_requirement_is_under_the_gpl() -> None:
+    """What is installed of this project's own requirements says of itself that it is neither GPL nor LGPL."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *(line for name in ("learn", "mesh", "dev") for line in extras[name])]
+    names = [re.split(r"[<>=\[ ]", line)[0] for line in lines]
+    assert len(names) > 20
+    for name in names:
+        try:
+            about = metadata.metadata(name)
+        except metadata.PackageNotFoundError:
+            continue  # an extra that was left out
+        says = [about.get("License-Expression") or "", (about.get("License") or "").split("\n")[0]]
+        says += [line for line in about.get_all("Classifier") or [] if line.startswith("License")]
+        assert not re.search(r"\b[AL]?GPL|General Public", " ".join(says)), f"{name}: {says}"
