@@ -79,7 +79,10 @@ def collect(
         for path in _run(todo, workers):
             found[path] = read_block(path)
             bar.update()
-    return Labelled.joined([part for part in found.values() if part is not None])
+    parts = [part for part in found.values() if part is not None]
+    if len(parts) < len(jobs):
+        raise OSError(f"{folder}: expected {len(jobs)} blocks of labels, {len(jobs) - len(parts)} cannot be read back")
+    return Labelled.joined(parts)
 
 
 def _run(jobs: list[tuple[Path, str, int, int]], workers: int) -> Iterator[Path]:
@@ -106,6 +109,7 @@ def label_block(path: Path, objects: str, first_seed: int, grasps: int) -> Path:
 
     from aerograsp_env.envs.grasp_plan import unpack_cloud
     from aerograsp_env.sim.gripper import gripper_pose
+    from baselines.grasping.planning import usable
     from baselines.policies.grasp_plan import CONTEXT, planner
 
     propose = planner("gpis")
@@ -115,13 +119,13 @@ def label_block(path: Path, objects: str, first_seed: int, grasps: int) -> Path:
         observation, _ = env.reset(seed=seed)
         rng = np.random.default_rng(seed)
         cloud = unpack_cloud(observation)
-        proposals = propose(cloud, rng)
-        count = len(proposals)
-        chosen = _chosen(proposals.score, grasps, rng)
+        proposals = propose(cloud, rng) if usable(cloud.points) else None
+        chosen = np.empty(0, dtype=np.intp) if proposals is None else _chosen(proposals.score, grasps, rng)
         poses = np.tile(np.eye(4, dtype=np.float32), (grasps, 1, 1))
         context = np.zeros((grasps, len(CONTEXT)), dtype=np.float32)
         labels = np.zeros((grasps, len(LABELS)), dtype=np.float32)
-        for k, index in enumerate(chosen if count else []):
+        for k, index in enumerate(chosen):
+            assert proposals is not None
             grasp = proposals.grasp(int(index))
             judgement = env.judge(grasp)
             poses[k], context[k] = gripper_pose(grasp), proposals.context[index]
@@ -157,7 +161,9 @@ def read_block(path: Path) -> Labelled | None:
             if int(data["version"]) != VERSION:
                 return None
             arrays = {name: data[name] for name in Labelled._fields}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+    except (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, RuntimeError):
+        return None
+    except (zipfile.BadZipFile, zlib.error):
         return None
     arrays["points"] = arrays["points"].astype(np.float32)
     arrays["normals"] = arrays["normals"].astype(np.float32)

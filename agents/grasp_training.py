@@ -42,9 +42,13 @@ class GraspTrainConfig:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            least = 0 if field.name in ("seed", "weight_decay") else 1 if isinstance(field.default, int) else 1e-12
-            if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value < 2**32:
-                raise ValueError(f"{field.name}: expected at least {least}, got {value!r}")
+            whole = isinstance(field.default, int)
+            least = 0 if field.name in ("seed", "weight_decay") else 1 if whole else 1e-12
+            fits = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
+            if not fits or not least <= value < 2**32:
+                raise ValueError(
+                    f"{field.name}: expected a {'whole ' * whole}number of at least {least}, got {value!r}"
+                )
 
 
 def train_scorer(
@@ -82,6 +86,8 @@ def train_scorer(
     if export is not None and Path(export).suffix != ".safetensors":
         raise ValueError(f"export: expected a name that ends in .safetensors, got {str(export)!r}")
     writable_folder(folder)
+    if export is not None:
+        writable_folder(Path(export).absolute().parent)
     shelf = Path(labels) if labels is not None else folder / "labels"
     data = collect(shelf, "train", TRAIN_SEED, config.views, config.grasps, workers, progress)
     held_out = collect(shelf, "validation", VALIDATION_SEED, config.validation_views, config.grasps, workers, progress)

@@ -8,8 +8,10 @@ import pytest
 import toy_env
 from toy_env import TOY, Proportional
 
+from aerograsp_env.registration import REFERENCE_POLICIES
 from agents import smoke as module
 from agents.smoke import CHECKS, main, smoke, smoke_text
+from baselines.policies import POLICIES
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +41,17 @@ class Invalid(Proportional):
     def predict(self, observation, state=None, episode_start=None, deterministic=True):
         action, state = super().predict(observation, state, episode_start, deterministic)
         return np.where(state.reshape(-1, 1) > 5, np.nan, action).astype(np.float32), state
+
+
+class Watcher(Proportional):
+    """An oracle: its world tells it the error."""
+
+    def watch(self, worlds):
+        self.worlds = worlds
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        error = np.stack([world._set_point - world._position for world in self.worlds])
+        return np.clip(5.0 * error, -1.0, 1.0).astype(np.float32), state
 
 
 class Raises:
@@ -82,6 +95,33 @@ def test_the_floor_holds_for_the_ids_own_policies_only(monkeypatch: pytest.Monke
     assert failures("test_smoke:Absent") == {}
     monkeypatch.setitem(toy_env.POLICIES, TOY, {"p": "test_smoke:Absent"})
     assert list(failures("p")) == ["floor"]
+
+
+def test_the_floor_leaves_out_what_is_weak_by_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(toy_env.POLICIES, TOY, {"p": "test_smoke:Absent", "q": "test_smoke:Absent"})
+    monkeypatch.setitem(module.WEAK, TOY, ("q",))
+    assert list(failures("p")) == ["floor"] and failures("q") == {}
+
+
+def test_every_weak_policy_exists_and_the_reference_is_none() -> None:
+    for env_id, names in module.WEAK.items():
+        known = POLICIES[env_id]
+        assert set(names) <= known.keys()
+        assert REFERENCE_POLICIES[env_id] not in {known[name] for name in names}
+
+
+def test_oracles_are_told_their_world_and_not_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(toy_env.POLICIES, TOY, {"w": "test_smoke:Watcher"})
+    (row,) = smoke([TOY], ["w"], episodes=2)
+    assert row.passed and row.oracle and row.success == 1.0
+    assert smoke_text([row]).splitlines()[1].split()[2:8] == ["✓", "✓", "✓", "–", "–", "✓"]
+
+
+def test_grasp_planning_passes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("baselines.policies.POLICIES", POLICIES)
+    rows = smoke(["aerograsp/GraspPlan-v0"], ["zero", "gpis", "cloud", "oracle-mesh"])
+    assert all(row.passed for row in rows), smoke_text(rows)
+    assert [row.floor for row in rows] == [0.0, 0.5, 0.0, 0.5]
 
 
 def test_a_registered_policy_that_cannot_be_loaded_is_a_failed_row(monkeypatch: pytest.MonkeyPatch) -> None:

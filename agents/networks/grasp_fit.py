@@ -19,6 +19,8 @@ from agents.provenance import provenance
 if TYPE_CHECKING:
     from agents.grasp_training import GraspTrainConfig
 
+TRAINING_KIND = f"{SCORER_KIND}-training"  # a card's, of a run's whole state
+
 
 def fit(
     config: GraspTrainConfig,
@@ -33,7 +35,7 @@ def fit(
     """Train by the binary cross-entropy of both labels; returns the card of the network with the least validation loss.
 
     Raises:
-        CheckpointError: the run to resume had other options.
+        CheckpointError: what is to be resumed is no training of this network, or had other options.
         ValueError: no labelled grasps.
     """
     from tqdm import tqdm
@@ -52,7 +54,11 @@ def fit(
     views, slots = np.nonzero(data.valid)
     steps = config.epochs * -(-len(views) // config.batch_size)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, config.learning_rate, total_steps=steps, pct_start=0.05, anneal_strategy="cos"
+        optimizer,
+        config.learning_rate,
+        total_steps=steps,
+        pct_start=0.05 if steps > 20 else 0.0,  # a warm-up of less than a step would divide by nothing
+        anneal_strategy="cos",
     )
     curve: list[dict[str, float]] = []
     first = 0
@@ -61,8 +67,8 @@ def fit(
         first, curve = _restore(folder / LATEST, settings, network, optimizer, schedule)
     facts = provenance(" ".join(command))
     card: dict[str, Any] = {}
-    if curve and (folder / BEST).exists():
-        card = load_checkpoint(folder / BEST).card
+    if curve:
+        card = load_checkpoint(folder / BEST, GRASP_PLAN).card
     bar = tqdm(range(first, config.epochs), desc="epochs", unit="epoch", disable=None if progress else True)
     for epoch in bar:
         rng = np.random.default_rng([config.seed, epoch])  # an epoch's order depends on nothing before it
@@ -96,10 +102,11 @@ def fit(
         }
         if row["validation_loss"] <= min(point["validation_loss"] for point in curve):
             card = shared
-            for path in (folder / BEST, export):
-                if path is not None:
-                    save_checkpoint(path, network.state_dict(), card)
-        save_checkpoint(folder / LATEST, _state(network, optimizer), {**shared, "kind": f"{SCORER_KIND}-training"})
+            save_checkpoint(folder / BEST, network.state_dict(), card)
+        save_checkpoint(folder / LATEST, _state(network, optimizer), {**shared, "kind": TRAINING_KIND})
+    card = {**card, "curve": curve}
+    if export is not None:  # also where a resumed run had its best epoch before
+        save_checkpoint(export, load_checkpoint(folder / BEST, GRASP_PLAN).tensors, card)
     return card
 
 
@@ -163,7 +170,9 @@ def _restore(
     path: Path, settings: dict[str, Any], network: GraspScorer, optimizer: torch.optim.Optimizer, schedule: Any
 ) -> tuple[int, list[dict[str, float]]]:
     """Epochs done and the curve, with network, optimiser and schedule as they were."""
-    checkpoint = load_checkpoint(path)
+    checkpoint = load_checkpoint(path, GRASP_PLAN)
+    if checkpoint.card.get("kind") != TRAINING_KIND:
+        raise CheckpointError(f"{path}: expected a {TRAINING_KIND}, got {checkpoint.card.get('kind')!r}")
     before = checkpoint.card["training"]
     if different := [name for name in settings if _plain(before.get(name)) != _plain(settings[name])]:
         raise CheckpointError(f"{path}: expected a run with the same options, got another {', '.join(different)}")
@@ -179,8 +188,8 @@ def _restore(
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     curve = checkpoint.card["curve"]
     steps = int(next(iter(state.values()))["step"])
-    for _ in range(steps):
-        schedule.step()
+    schedule.load_state_dict({**schedule.state_dict(), "last_epoch": steps - 1, "_step_count": steps})
+    schedule.step()  # sets the optimiser's rates, which follow from the number of steps alone
     return len(curve), curve
 
 

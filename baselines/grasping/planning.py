@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from baselines.grasping.clearance import point_collisions, swept_boxes
 from baselines.grasping.contacts import Array
 from baselines.grasping.on_gpis import grasps_on_gpis, surface_points
 from baselines.objects import GPIS, Constant, Prior, SquaredExponential, fit_ellipsoid
+from baselines.objects.observations import check_points
 from baselines.objects.sampling import farthest_point_indices
 
 CONTEXT = (
@@ -44,6 +45,10 @@ CONTEXT = (
 """What is known of a candidate beside the points, in the order of `Proposals.context`."""
 
 _LATTICE = 1500  # nodes at which it is asked what is inside, for the centre of mass
+_LEAST_SPREAD = 1e-4  # [m] root mean square distance of points from their centroid
+_LEAST_BREADTH = 1e-4  # of a cloud, in lengths of it
+_LEAST_NOISE = 1e-5  # [m] far below any sensor's: points seen twice without noise would make the model singular
+_OPTIONAL = ("trust", "clearance", "unseen_approach", "tightness", "room")  # settings that may be zero
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class PlannerConfig:
     points from their centroid.
 
     Raises:
-        ValueError: a value that is not positive, or an unknown prior.
+        ValueError: a value out of its range, or an unknown prior.
     """
 
     prior: Literal["ellipsoid", "constant"] = "ellipsoid"
@@ -77,8 +82,16 @@ class PlannerConfig:
             if field.name == "prior":
                 if value not in ("ellipsoid", "constant"):
                     raise ValueError(f"prior: expected 'ellipsoid' or 'constant', got {value!r}")
-            elif not 0.0 <= value < math.inf:
+                continue
+            least = 4 if field.name == "points" else int(isinstance(field.default, int))  # points: of an ellipsoid
+            kind = "whole number" if least else "number"
+            fits = isinstance(value, int | np.integer if least else int | float | np.number)
+            if isinstance(value, bool) or not fits or not least <= value < math.inf:
+                raise ValueError(f"{field.name}: expected a {kind} of at least {least}, got {value!r}")
+            if value == 0 and field.name not in _OPTIONAL:
                 raise ValueError(f"{field.name}: expected a positive value, got {value!r}")
+        if self.trust > 1.0:
+            raise ValueError(f"trust: expected a share of at most 1, got {self.trust!r}")
 
 
 class ObjectEstimate(NamedTuple):
@@ -103,10 +116,28 @@ class Proposals:
     def __len__(self) -> int:
         return len(self.candidates)
 
+    def take(self, rows: Any) -> Proposals:
+        """Some of them: indices or a mask, in the order given."""
+        found = self.candidates.take(rows)
+        return Proposals(found, self.pfc[rows], self.score[rows], self.context[rows], self.estimate)
+
     def grasp(self, index: int) -> Grasp:
         """One of them."""
         c = self.candidates
         return Grasp(c.centers[index], c.closing_axes[index], c.approach_axes[index], float(c.widths[index]))
+
+
+def usable(points: Array) -> bool:
+    """Whether points (N, 3) [m] say enough to plan on: at least four, neither in one place nor on a line.
+
+    Raises:
+        ValueError: another shape, or values that are not finite.
+    """
+    points = check_points(points, "points")
+    if len(points) < 4:
+        return False
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / math.sqrt(len(points))
+    return bool(np.linalg.norm(spread) > _LEAST_SPREAD and spread[1] > _LEAST_BREADTH * spread[0])
 
 
 def estimate_object(
@@ -121,13 +152,13 @@ def estimate_object(
         config: settings.
 
     Raises:
-        ValueError: points that are fewer than four, on a line, or otherwise unfit.
+        ValueError: points that are not `usable`, or arrays that are otherwise unfit.
     """
+    if not usable(points):
+        raise ValueError(f"points: expected at least 4 that spread over a surface, got {len(points)} that do not")
     rows = farthest_point_indices(np.ascontiguousarray(points), min(config.points, len(points)), 0)
-    points, normals, noise = points[rows], normals[rows], noise[rows]
+    points, normals, noise = points[rows], normals[rows], np.maximum(noise[rows], _LEAST_NOISE)
     size = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    if not size > 1e-4:
-        raise ValueError(f"points: expected some that are apart, got a spread of {size:.2g} m")
     ellipsoid = fit_ellipsoid(points, normals, viewpoint).prior
     axes = np.sort(np.asarray(ellipsoid.axes, dtype=np.float64))
 

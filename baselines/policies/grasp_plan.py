@@ -9,27 +9,32 @@
 | `random-eligible` | as `gpis` | none: one at random of those that fit and are within the friction cone |
 | `oracle-mesh` | rays through the true mesh | friction to spare, distance to the true centre of mass |
 
-A policy that finds no grasp answers zeros, which is no grasp.
+A policy that finds no grasp answers zeros, which is no grasp: where a cloud says too little (`usable`), where nothing
+fits, or where all that fits is farther from the cloud's origin than an action can say.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerograsp_env.envs.grasp_cloud import MIN_WIDTH, REACH
 from aerograsp_env.envs.grasp_plan import Cloud, encode_grasp, unpack_cloud
 from aerograsp_env.interfaces import Grasp
 from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping import grasps_on_cloud, grasps_on_mesh
 from baselines.grasping.antipodal import closing_angles, line_distance
+from baselines.grasping.candidates import GraspCandidates
 from baselines.grasping.contacts import Array
-from baselines.grasping.planning import CONTEXT, PlannerConfig, Proposals, propose
+from baselines.grasping.on_cloud import FEWEST
+from baselines.grasping.planning import CONTEXT, PlannerConfig, Proposals, propose, usable
 
 __all__ = ["CONTEXT", "GraspPolicy", "MeshOracle", "planner"]
 
@@ -64,7 +69,8 @@ class GraspPolicy:
         return np.stack([self._action(row) for row in rows]), None
 
     def _action(self, observation: Observation) -> NDArray[np.float32]:
-        grasp = self.plan(unpack_cloud(observation), content_rng(observation))
+        cloud = unpack_cloud(observation)
+        grasp = self.plan(cloud, content_rng(observation)) if usable(cloud.points) else None
         return np.zeros(10, dtype=np.float32) if grasp is None else encode_grasp(grasp, self.gripper)
 
 
@@ -74,7 +80,7 @@ def content_rng(observation: Observation) -> np.random.Generator:
 
 
 def planner(name: str, gripper: GripperConfig | None = None, config: PlannerConfig | None = None) -> Propose:
-    """The planner behind "gpis", "gpis-constant" or "com", with everything that it found.
+    """The planner behind "gpis", "gpis-constant" or "com", with everything that it found and an action can say.
 
     Raises:
         ValueError: another name.
@@ -87,9 +93,15 @@ def planner(name: str, gripper: GripperConfig | None = None, config: PlannerConf
     friction = ANY_FRICTION if name == "com" else None
 
     def plan(cloud: Cloud, rng: np.random.Generator) -> Proposals:
-        return propose(cloud.points, cloud.normals, cloud.noise, cloud.viewpoint, rng, config, gripper, friction)
+        found = propose(cloud.points, cloud.normals, cloud.noise, cloud.viewpoint, rng, config, gripper, friction)
+        return found.take(_expressible(found.candidates.centers, found.candidates.widths))
 
     return plan
+
+
+def _expressible(centers: Array, widths: Array) -> NDArray[np.bool_]:
+    """(G,) whether an action can say a grasp with this centre (G, 3) [m] and width (G,) [m]; see `encode_grasp`."""
+    return (np.abs(centers) <= REACH).all(axis=1) & (widths >= MIN_WIDTH)
 
 
 def _best(proposals: Proposals) -> Grasp | None:
@@ -113,7 +125,11 @@ def _any(find: Propose, cloud: Cloud, rng: np.random.Generator) -> Grasp | None:
 
 
 def _on_seen(gripper: GripperConfig, cloud: Cloud, rng: np.random.Generator) -> Grasp | None:
-    found = grasps_on_cloud(cloud.points, cloud.normals, gripper, viewpoint=cloud.viewpoint, rng=rng)
+    points, rows = np.unique(cloud.points, axis=0, return_index=True)  # a point's repetition is no neighbour
+    if len(points) < FEWEST:
+        return None
+    found = grasps_on_cloud(points, cloud.normals[rows], gripper, viewpoint=cloud.viewpoint, rng=rng)
+    found = found.take(_expressible(found.centers, found.widths))
     if not len(found):
         return None
     distance = line_distance(found.positions, cloud.points.mean(axis=0))
@@ -155,7 +171,7 @@ class MeshOracle:
     def __init__(self, gripper: GripperConfig | None = None) -> None:
         self.gripper = gripper or GripperConfig()
         self._worlds: Sequence[Any] = ()
-        self._best: dict[int, tuple[Any, Grasp | None]] = {}  # by object, which is kept alive with it
+        self._found: MutableMapping[Any, GraspCandidates] = WeakKeyDictionary()  # by object, as long as it lives
 
     def watch(self, worlds: Sequence[Any]) -> None:
         """The unwrapped environments to act in, row by row."""
@@ -176,21 +192,21 @@ class MeshOracle:
         return (actions[0] if points.ndim == 1 else actions), None
 
     def _action(self, world: Any) -> NDArray[np.float32]:
-        item = world.object
-        if id(item) not in self._best:
-            self._best[id(item)] = (item, self._plan(item))
-        grasp = self._best[id(item)][1]
-        if grasp is None:
+        item, T = world.object, world.T_cloud_object
+        found = self._found.get(item)
+        if found is None:
+            found = self._found[item] = self._plan(item)
+        within = np.flatnonzero(_expressible(found.centers @ T[:3, :3].T + T[:3, 3], found.widths))
+        if not len(within):
             return np.zeros(10, dtype=np.float32)
-        return encode_grasp(moved(grasp, world.T_cloud_object), self.gripper)
+        return encode_grasp(moved(found.take(within[:1]).grasps()[0], T), self.gripper)
 
-    def _plan(self, item: Any) -> Grasp | None:
+    def _plan(self, item: Any) -> GraspCandidates:
+        """All that was found on an object, in its frame, best first."""
         found = grasps_on_mesh((item.vertices, item.faces), self.gripper, n_rays=ORACLE_RAYS)
-        if not len(found):
-            return None
         angle = closing_angles(found.positions, found.normals) / ORACLE_ANGLE
         distance = line_distance(found.positions, item.center_of_mass) / ORACLE_REACH
-        return found.order(-(angle**2) - distance**2).grasps()[0]
+        return found.order(-(angle**2) - distance**2)
 
 
 def oracle_mesh(gripper: GripperConfig | None = None) -> MeshOracle:
