@@ -5,7 +5,6 @@ The simulated vehicle is given the recorded velocities as set-points, so that bo
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,9 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from aerograsp_env.sim.config import TABLE_5_2_SATURATION, DockConfig
-from agents.reproduction import Reproduction, Request, text_table
+from agents.reproduction import DATA_VARIABLE, Reproduction, Request, data_folder, text_table
 
-DATA_VARIABLE = "AEROGRASP_DATA"
 RECORDING = Path("drone_euroc_gt") / "V1_01_easy.csv"
 CALM = 10.0  # length of the calmest stretch [s]
 
@@ -52,12 +50,6 @@ class MotionStatistics(NamedTuple):
     lift: float  # vertical acceleration [m/s²]
     tilt_rate: float  # [rad/s]
     yaw_rate: float  # [rad/s]
-
-
-def data_folder() -> Path:
-    """Where data sets lie: `AEROGRASP_DATA`, else `shared/data` beside the checkout."""
-    named = os.environ.get(DATA_VARIABLE)
-    return Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def read_flight(path: str | Path) -> Flight:
@@ -152,7 +144,7 @@ def simulate(time: NDArray[np.float64], velocity: NDArray[np.float64], seed: int
 
 def run(request: Request) -> Reproduction:
     """The whole flight and its calmest part, real and simulated, and a simulated hover."""
-    real = airborne(read_flight(data_folder() / RECORDING))
+    real = airborne(read_flight(data_folder(request.data) / RECORDING))
     flown = simulate(real.time, real.velocity, request.seed)
     calm = calmest(real)
     time = np.arange(0.0, 30.0, 0.05)

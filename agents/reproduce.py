@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from agents.arguments import Parser, add_episodes, add_json, add_seed, guarded
 from agents.files import write_atomic, write_json
-from agents.reproduction import Reproduction, Request
+from agents.reproduction import DATA_VARIABLE, Reproduction, Request
 from agents.seeds import TEST_SEED
 
 
@@ -19,6 +19,7 @@ class Table(NamedTuple):
     title: str
     counts: bool = False  # takes a number of episodes
     draws: bool = False  # has a picture
+    real: bool = False  # needs a folder of real data
 
 
 TABLES = {
@@ -30,7 +31,12 @@ TABLES = {
     "table-5.3": Table("agents.table_5_3", "holding error by GPS, vision and tool (thesis Table 5.3)", counts=True),
     "step-response": Table("agents.step_response", "velocity steps under PX4's gains", draws=True),
     "figure-5.15": Table("agents.figure_5_15", "the tool's workspace quality (thesis figure 5.15)", draws=True),
-    "firefly-motion": Table("agents.firefly_motion", "motion beside a real Firefly's flight (EuRoC data set)"),
+    "firefly-motion": Table(
+        "agents.firefly_motion", "motion beside a real Firefly's flight (EuRoC data set)", real=True
+    ),
+    "real-objects": Table(
+        "agents.real_objects", "grasps on scanned objects, single views made whole", counts=True, draws=True, real=True
+    ),
 }
 
 
@@ -38,7 +44,7 @@ def reproduce(name: str, request: Request | None = None) -> Reproduction:
     """Run one reproduction.
 
     Raises:
-        ValueError: an unknown name, or episodes or a picture asked of one that has none.
+        ValueError: an unknown name, or episodes a picture or data asked of or given to one without.
         FileNotFoundError: a data set that it needs is absent.
     """
     request = request or Request()
@@ -55,6 +61,10 @@ def reproduce(name: str, request: Request | None = None) -> Reproduction:
         raise ValueError(
             f"--out: {name} has no picture; pictures: {', '.join(n for n, t in TABLES.items() if t.draws)}"
         )
+    if request.data is not None and not table.real:
+        raise ValueError(
+            f"--data: {name} reads none; of real data: {', '.join(n for n, t in TABLES.items() if t.real)}"
+        )
     result: Reproduction = importlib.import_module(table.module).run(request)
     return result
 
@@ -70,8 +80,9 @@ def main(argv: list[str]) -> int:
     add_seed(parser, TEST_SEED)
     add_json(parser)
     parser.add_argument("--out", metavar="FILE", type=_picture_target, default=None, help="write the picture (PNG)")
+    parser.add_argument("--data", metavar="FOLDER", default=None, help=f"real data (else {DATA_VARIABLE})")
     args = parser.parse_args(argv)
-    result = reproduce(args.table, Request(args.seed, args.episodes, args.out is not None))
+    result = reproduce(args.table, Request(args.seed, args.episodes, args.out is not None, args.data))
     if args.json != "-":
         print(result.text)
     if args.out is not None and result.picture is not None:

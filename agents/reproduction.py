@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from agents.seeds import TEST_SEED
+
+DATA_VARIABLE = "AEROGRASP_DATA"
 
 
 @dataclass(frozen=True)
@@ -16,6 +20,7 @@ class Request:
     seed: int = TEST_SEED  # episode k resets with seed + k
     episodes: int | None = None  # None: as many as the published figure asks for
     picture: bool = False
+    data: str | None = None  # folder of real data; see `data_folder`
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,18 @@ class Reproduction:
     text: str
     data: dict[str, Any] = field(default_factory=dict)
     picture: bytes | None = None  # PNG
+
+
+def data_folder(named: str | None = None) -> Path:
+    """Where data sets lie: the folder named, else `AEROGRASP_DATA`, else `shared/data` beside the checkout.
+
+    Raises:
+        FileNotFoundError: a folder was named, and there is none.
+    """
+    if named is not None and not Path(named).is_dir():
+        raise FileNotFoundError(f"--data: no folder {named}")
+    named = named or os.environ.get(DATA_VARIABLE)
+    return Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def text_table(rows: Sequence[Sequence[str]], left: int = 2) -> str:
