@@ -52,7 +52,7 @@ def synthetic(views: int = 40, grasps: int = 4, points: int = 64, features: int 
     valid = rng.random((views, grasps)) < 0.9
     cloud = rng.normal(0.0, 0.03, (views, points, 3))
     parts: list[Any] = [np.asarray(part, np.float32) for part in (cloud, normals, poses, context, labels)]
-    return Labelled(*parts, valid)
+    return Labelled._make([*parts, valid])
 
 
 def training(folder: Path, config: GraspTrainConfig, resume: bool = False, export: Path | None = None) -> dict:

@@ -14,7 +14,7 @@ from aerograsp_env.interfaces import UNIT_TOLERANCE
 from aerograsp_env.sim.depth_view import DepthCameraConfig, partial_view
 from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping.antipodal import closing_angles, line_distance
-from baselines.grasping.planning import CONTEXT, PlannerConfig, estimate_object, propose, usable
+from baselines.grasping.planning import CONTEXT, WEIGHTS, PlannerConfig, estimate_object, propose, usable
 
 EYE = np.array([0.0, 0.0, 0.5])
 GRIPPER = GripperConfig()
@@ -67,7 +67,7 @@ def moved(view: View, rotation: np.ndarray, shift=(0.0, 0.0, 0.0)) -> View:
         ("bare_length_scale", -0.1),
         ("deviation", float("nan")),
         ("level", "0.3"),
-        ("reach", 0.0),
+        ("weights", {"luck": 1.0}),
         ("normal_noise", float("inf")),
         ("trust", 1.5),
         ("trust", -0.1),
@@ -80,7 +80,7 @@ def test_settings_out_of_range_are_refused_by_name(name, value):
 
 
 def test_weights_may_be_zero():
-    PlannerConfig(trust=0.0, clearance=0.0, unseen_approach=0.0, tightness=0.0, room=0.0)
+    PlannerConfig(trust=0.0, clearance=0.0, room=0.0, weights={})
 
 
 # clouds that say too little -------------------------------------------------------------------------
@@ -263,19 +263,16 @@ def test_the_context_says_what_its_names_say(proposals):
 
 def test_the_score_is_what_it_is_said_to_be(proposals):
     _, found = proposals
-    config, columns = PlannerConfig(), dict(zip(CONTEXT, found.context.T, strict=True))
-    expected = (
-        np.log(np.maximum(columns["pfc"], 1e-3))
-        - 0.5 * (columns["line_distance"] / config.reach) ** 2
-        - columns["approach_to_view"] * config.unseen_approach
-        - columns["tightness"] * config.tightness
-    )
+    columns = dict(zip(CONTEXT, found.context.T, strict=True))
+    columns["pfc"] = np.log(np.maximum(columns["pfc"], 1e-3))
+    expected = sum(weight * columns[name] for name, weight in WEIGHTS.items())
     np.testing.assert_allclose(found.score, expected, atol=1e-12)
 
 
 def test_equal_seeds_propose_equal_grasps_and_other_seeds_others(proposals):
-    view, found = proposals
-    again, other = propose(*view, np.random.default_rng(3)), propose(*view, np.random.default_rng(4))
+    view: View = proposals[0]
+    found = proposals[1]
+    again, other = (propose(*view, np.random.default_rng(seed)) for seed in (3, 4))
     for name in ("score", "pfc", "context"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
     np.testing.assert_array_equal(again.candidates.centers, found.candidates.centers)
