@@ -14,7 +14,7 @@ from aerograsp_env.interfaces import UNIT_TOLERANCE
 from aerograsp_env.sim.depth_view import DepthCameraConfig, partial_view
 from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping.antipodal import closing_angles, line_distance
-from baselines.grasping.planning import CONTEXT, WEIGHTS, PlannerConfig, estimate_object, propose, usable
+from baselines.grasping.planning import CONTEXT, WEIGHTS, PlannerConfig, estimate_object, propose, ranking, usable
 
 EYE = np.array([0.0, 0.0, 0.5])
 GRIPPER = GripperConfig()
@@ -261,12 +261,18 @@ def test_the_context_says_what_its_names_say(proposals):
     assert np.isfinite(found.context).all()
 
 
-def test_the_score_is_what_it_is_said_to_be(proposals):
-    _, found = proposals
+def test_the_score_is_the_weighted_sum_of_the_context(proposals):
+    view: View = proposals[0]
+    found = proposals[1]
     columns = dict(zip(CONTEXT, found.context.T, strict=True))
     columns["pfc"] = np.log(np.maximum(columns["pfc"], 1e-3))
+    assert set(WEIGHTS) <= set(CONTEXT)
     expected = sum(weight * columns[name] for name, weight in WEIGHTS.items())
-    np.testing.assert_allclose(found.score, expected, atol=1e-12)
+    np.testing.assert_allclose(found.score, expected, atol=1e-9)
+    np.testing.assert_allclose(ranking(found.context), found.score, atol=1e-9)
+    nearest = propose(*view, np.random.default_rng(3), PlannerConfig(weights={"line_distance": -1.0}))
+    assert (np.diff(nearest.context[:, CONTEXT.index("line_distance")]) >= 0.0).all()
+    np.testing.assert_array_equal(np.sort(nearest.pfc), np.sort(found.pfc))  # the same grasps in another order
 
 
 def test_equal_seeds_propose_equal_grasps_and_other_seeds_others(proposals):
