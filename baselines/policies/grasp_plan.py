@@ -43,6 +43,7 @@ Plan = Callable[[Cloud, np.random.Generator], Grasp | None]
 Propose = Callable[[Cloud, np.random.Generator], Proposals]
 
 ANY_FRICTION = 50.0  # a cone of 89°: no condition on the normals
+NEAR = 0.015  # [m] from the middle of the points at which the preference of `cloud` has fallen to e^−1/2
 ORACLE_RAYS = 3000
 ORACLE_ANGLE = np.radians(10.0)  # of the closing line, and
 ORACLE_REACH = 0.010  # [m] its distance, at which the oracle's preference has fallen to e^−1
@@ -133,7 +134,7 @@ def _on_seen(gripper: GripperConfig, cloud: Cloud, rng: np.random.Generator) -> 
     if not len(found):
         return None
     distance = line_distance(found.positions, cloud.points.mean(axis=0))
-    return found.grasps()[int(np.argmax(found.score - 0.5 * (distance / PlannerConfig().reach) ** 2))]
+    return found.grasps()[int(np.argmax(found.score - 0.5 * (distance / NEAR) ** 2))]
 
 
 def gpis(gripper: GripperConfig | None = None) -> GraspPolicy:
