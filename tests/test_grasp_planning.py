@@ -68,6 +68,7 @@ def moved(view: View, rotation: np.ndarray, shift=(0.0, 0.0, 0.0)) -> View:
         ("deviation", float("nan")),
         ("level", "0.3"),
         ("weights", {"luck": 1.0}),
+        ("weights", {"pfc": float("nan")}),
         ("normal_noise", float("inf")),
         ("trust", 1.5),
         ("trust", -0.1),

@@ -108,6 +108,8 @@ class PlannerConfig:
             if name == "weights":
                 if unknown := sorted(set(value) - set(CONTEXT)):
                     raise ValueError(f"weights: expected names of {', '.join(CONTEXT)}, got {', '.join(unknown)}")
+                if not all(math.isfinite(weight) for weight in value.values()):
+                    raise ValueError(f"weights: expected finite numbers, got {dict(value)}")
                 continue
             least = 4 if name == "points" else int(isinstance(entry.default, int))  # points: of an ellipsoid
             kind = "whole number" if least else "number"
