@@ -19,7 +19,6 @@ from agents.networks.grasp_scorer import GraspScorer, ScorerLayout
 from baselines.grasping.planning import Proposals
 from baselines.policies.grasp_plan import CONTEXT, GraspPolicy, planner
 
-
 SCORED = 96
 """Candidates that the network looks at, the best of the analytic ranking: it is to decide within 200 ms."""
 
