@@ -238,6 +238,8 @@ def test_the_context_says_what_its_names_say(proposals):
     c, columns = found.candidates, dict(zip(CONTEXT, found.context.T, strict=True))
     center = found.estimate.center
     sight = (view.viewpoint - center) / np.linalg.norm(view.viewpoint - center)
+    to_center = center - c.centers
+    below = to_center - (to_center * c.closing_axes).sum(axis=1, keepdims=True) * c.closing_axes
     expected = {
         "pfc": found.pfc,
         "closing_angle": closing_angles(c.positions, c.normals),
@@ -249,6 +251,8 @@ def test_the_context_says_what_its_names_say(proposals):
         "approach_to_up": c.approach_axes[:, 2],
         "closing_to_up": np.abs(c.closing_axes[:, 2]),
         "room": c.widths - c.contact_widths,
+        "above": -below[:, 2],
+        "aside": np.hypot(*below[:, :2].T),
         "size": np.full(len(c), found.estimate.axes[1]),
         "slenderness": np.full(len(c), found.estimate.axes[2] / found.estimate.axes[0]),
     }
