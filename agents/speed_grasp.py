@@ -58,7 +58,8 @@ def costs(repeats: int, peer_python: str | None = None) -> list[Cost]:
         name = "implicit surface, mean and gradient"
         rows.append(Cost(name, seconds["mean and gradient"], version, found["seconds"], 0.1))
     for row in grasp_speed.measure(repeats):
-        rows.append(Cost(row.name, row.seconds, "Qhull", row.bound_seconds, 1.0 / row.target if row.target else 0.0))
+        name, _, other = row.name.partition(" / ")
+        rows.append(Cost(name, row.seconds, other, row.bound_seconds, 1.0 / row.target if row.target else 0.0))
     for cast in ray_speed.measure(repeats):
         rows.append(Cost(cast.name, cast.seconds, "Embree", cast.bound_seconds, 1.5))
     return rows
