@@ -33,7 +33,7 @@ NOTES = """\
 Up to {trials} grasps of each kind on each object: lines through it, random sides without a collision, random
 orientations. Must hold: both normals within {share:.0%} of the friction cone's angle, and the closing line within
 {distance:.0f} mm of the centre of mass; half of these lines are parallel to the edges of the object's box. Must not: a
-normal more than {beyond:.0f}° outside of the cone. Those that hold all the same mostly turn into a better grip."""
+normal more than {beyond:.0f}° outside of the cone."""
 
 
 def pairs_through(item: GraspObject, pattern: RayPattern, rng: np.random.Generator) -> Pairs:
