@@ -28,7 +28,7 @@ from baselines.objects import (
 )
 
 SHAPES: dict[str, Callable[[], trimesh.Trimesh]] = {"box": box, "bottle": bottle, "mug": mug}
-VIEWS = 24
+VIEWS = 72
 VALIDATION = 12
 NOISE, TURN = 1e-3, 0.05  # of the observed points [m] and normals
 VOXEL = 0.014  # [m]
