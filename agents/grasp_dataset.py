@@ -161,9 +161,9 @@ def read_block(path: Path) -> Labelled | None:
             if int(data["version"]) != VERSION:
                 return None
             arrays = {name: data[name] for name in Labelled._fields}
-    except (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, RuntimeError):
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
-    except (zipfile.BadZipFile, zlib.error):
+    except RuntimeError:  # flipped bits that zipfile takes for encryption, or for a compression that it does not know
         return None
     arrays["points"] = arrays["points"].astype(np.float32)
     arrays["normals"] = arrays["normals"].astype(np.float32)

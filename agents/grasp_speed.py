@@ -1,9 +1,8 @@
-"""What grasp analysis costs, against the same computed through Qhull in the same run.
+"""What grasp analysis costs, against the same computed through Qhull in the same run: part of `agents.speed_grasp`.
 
 What is compared runs in turns, warm, and each figure is the median over repeats; all of it runs in one thread.
 """
 
-import sys
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,9 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from agents.arguments import Parser, add_json, guarded, positive_int
-from agents.files import write_json
-from agents.provenance import provenance
 from baselines.grasping import (
     Contact,
     antipodal_probability,
@@ -123,35 +119,3 @@ def measure(repeats: int = 5, samples: int = SAMPLES, grasps: int = GRASPS, seed
             2.0,
         ),
     ]
-
-
-def table(rows: list[Row]) -> str:
-    """The rows as aligned text."""
-    width = max(len(row.name) for row in rows)
-    lines = [f"{'':{width}}  {'ours':>10}  {'other':>10}  {'ratio':>7}  {'target':>6}"]
-    for row in rows:
-        target = f"≥ {row.target:g}" if row.target else ""
-        lines.append(
-            f"{row.name:{width}}  {1e3 * row.seconds:7.2f} ms  {1e3 * row.bound_seconds:7.1f} ms  {row.ratio:7.1f}"
-            f"  {target:>6}"
-        )
-    return "\n".join(lines)
-
-
-def main(argv: list[str]) -> int:
-    """Print the table."""
-    parser = Parser(prog="python -m agents.grasp_speed", description="What grasp analysis costs, against Qhull.")
-    parser.add_argument("--repeats", metavar="R", type=positive_int, default=5, help="of every measurement")
-    add_json(parser)
-    args = parser.parse_args(argv)
-    rows = measure(args.repeats)
-    if args.json != "-":
-        print(table(rows))
-    if args.json:
-        facts = provenance(" ".join([parser.prog, *argv]))
-        write_json(args.json, {"provenance": facts, "rows": [row._asdict() for row in rows]})
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(guarded("python -m agents.grasp_speed", main, sys.argv[1:]))

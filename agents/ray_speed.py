@@ -1,11 +1,10 @@
-"""What every hit of a ray costs, against Embree alone in the same run.
+"""What every hit of a ray costs, against Embree alone in the same run: part of `agents.speed_grasp`.
 
 Embree alone is its first hit of each ray, cast again from behind it until nothing is left: float32 throughout, no
 distances, no order, and no look at whether hits were lost. Both run in turns, warm, in one thread, and each figure is
 the median over repeats.
 """
 
-import sys
 import time
 from typing import NamedTuple
 
@@ -15,9 +14,6 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 
-from agents.arguments import Parser, add_json, guarded, positive_int
-from agents.files import write_json
-from agents.provenance import provenance
 from baselines.objects import MeshObject
 
 Array = NDArray[np.float64]
@@ -85,34 +81,3 @@ def measure(repeats: int = 9, rays: int = RAYS, seed: int = 0) -> list[Row]:
         _compare("ball", trimesh.creation.icosphere(5, 0.5), rays, repeats, rng),
         _compare("torus", trimesh.creation.torus(0.3, 0.1, 160, 64), rays, repeats, rng),
     ]
-
-
-def table(rows: list[Row]) -> str:
-    """The rows as aligned text."""
-    width = max(len(row.name) for row in rows)
-    lines = [f"{'':{width}}  {'ours':>9}  {'Embree':>9}  {'ratio':>5}  {'target':>6}  {'odd rays, ours / Embree':>23}"]
-    for row in rows:
-        lines.append(
-            f"{row.name:{width}}  {1e3 * row.seconds:6.2f} ms  {1e3 * row.bound_seconds:6.2f} ms  {row.ratio:5.2f}"
-            f"  {f'≤ {TARGET:g}':>6}  {f'{row.odd} / {row.bound_odd}':>23}"
-        )
-    return "\n".join(lines)
-
-
-def main(argv: list[str]) -> int:
-    """Print the table."""
-    parser = Parser(prog="python -m agents.ray_speed", description="What every hit of a ray costs, against Embree.")
-    parser.add_argument("--repeats", metavar="R", type=positive_int, default=9, help="of every measurement")
-    add_json(parser)
-    args = parser.parse_args(argv)
-    rows = measure(args.repeats)
-    if args.json != "-":
-        print(table(rows))
-    if args.json:
-        facts = provenance(" ".join([parser.prog, *argv]))
-        write_json(args.json, {"provenance": facts, "rows": [row._asdict() for row in rows]})
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(guarded("python -m agents.ray_speed", main, sys.argv[1:]))

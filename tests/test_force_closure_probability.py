@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wrench_references import reference_points, reference_radius
 
-from agents.grasp_speed import measure, table
+from agents.grasp_speed import measure
 from baselines.grasping import (
     Contact,
     antipodal_probability,
@@ -150,4 +150,4 @@ def test_bad_input_is_named(call, named: str) -> None:
 def test_speed_is_measured() -> None:
     rows = measure(repeats=1, samples=20, grasps=2)
     assert all(row.seconds > 0.0 and row.ratio == pytest.approx(row.bound_seconds / row.seconds) for row in rows)
-    assert [row.target for row in rows] == [30.0, 0.0, 0.0, 2.0] and table(rows).count("\n") == len(rows)
+    assert [row.target for row in rows] == [30.0, 0.0, 0.0, 2.0]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.ray_speed import RAYS, measure, rays_towards, table
+from agents.ray_speed import RAYS, measure, rays_towards
 from baselines.objects import MeshObject
 
 
 def test_a_row_a_mesh_and_no_odd_ray() -> None:
     rows = measure(repeats=1, rays=500)
     assert all(row.odd == 0 and row.seconds > 0.0 and row.bound_seconds > 0.0 for row in rows)
-    assert len(table(rows).splitlines()) == len(rows) + 1 and RAYS >= 10_000
+    assert RAYS >= 10_000
 
 
 def test_rays_start_outside_and_look_at_the_box() -> None:
