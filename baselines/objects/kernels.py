@@ -29,18 +29,17 @@ from baselines.objects.pairwise import fill_cross, fill_gram, reduce_weights, we
 Array = NDArray[np.float64]
 
 
-def require_positive(**values: float) -> None:
-    for name, value in values.items():
-        if not 0.0 < value < np.inf:
-            raise ValueError(f"{name}: expected a positive finite number, got {value}")
-
-
 @dataclass(frozen=True)
 class Kernel(ABC):
     """What every kernel can do. Those with ``differentiable = False`` give values only."""
 
     differentiable: ClassVar[bool] = True
     dimension: ClassVar[int | None] = None  # of the points; None takes any
+
+    def __post_init__(self) -> None:
+        for name, value in self.parameters.items():
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name}: expected a positive finite number, got {value}")
 
     @abstractmethod
     def value(self, x: Array, y: Array) -> Array:
@@ -189,7 +188,15 @@ class _Isotropic(Kernel):
 
 
 @dataclass(frozen=True)
-class SquaredExponential(_Isotropic):
+class _Stationary(_Isotropic):
+    """φ = σ² g(d/l)."""
+
+    length_scale: float
+    variance: float = 1.0
+
+
+@dataclass(frozen=True)
+class SquaredExponential(_Stationary):
     """k = σ² exp(−d²/2l²). Rasmussen & Williams 2006, eq. 4.9.
 
     Args:
@@ -199,12 +206,6 @@ class SquaredExponential(_Isotropic):
     Raises:
         ValueError: one of them is not positive and finite.
     """
-
-    length_scale: float
-    variance: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_positive(length_scale=self.length_scale, variance=self.variance)
 
     def _profile(self, d: Array) -> Array:
         return self.variance * np.exp(-0.5 * (d / self.length_scale) ** 2)
@@ -226,7 +227,7 @@ class SquaredExponential(_Isotropic):
 
 
 @dataclass(frozen=True)
-class Matern52(_Isotropic):
+class Matern52(_Stationary):
     """k = σ² (1 + q + q²/3) exp(−q), q = √5 d/l. Rasmussen & Williams 2006, eq. 4.17.
 
     Args:
@@ -236,12 +237,6 @@ class Matern52(_Isotropic):
     Raises:
         ValueError: one of them is not positive and finite.
     """
-
-    length_scale: float
-    variance: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_positive(length_scale=self.length_scale, variance=self.variance)
 
     def _profile(self, d: Array) -> Array:
         q = np.sqrt(5.0) / self.length_scale * d
@@ -285,9 +280,6 @@ class ThinPlate(_Isotropic):
 
     radius: float
     variance: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_positive(radius=self.radius, variance=self.variance)
 
     def _check(self, d: Array) -> None:
         if d.size and (largest := d.max()) > self.radius:

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from baselines.objects.kernels import Array, Kernel, require_positive
+from baselines.objects.kernels import Array, Kernel
 
 
 def _full(lower: Array) -> Array:
@@ -29,9 +29,6 @@ class Periodic(Kernel):
     length_scale: float
     variance: float = 1.0
     dimension: ClassVar[int | None] = 1
-
-    def __post_init__(self) -> None:
-        require_positive(length_scale=self.length_scale, variance=self.variance)
 
     def value(self, x: Array, y: Array) -> Array:
         half = np.sin(0.5 * (x - y.T))
@@ -77,9 +74,6 @@ class Brownian(Kernel):
     variance: float = 1.0
     differentiable: ClassVar[bool] = False
     dimension: ClassVar[int | None] = 1
-
-    def __post_init__(self) -> None:
-        require_positive(variance=self.variance)
 
     def value(self, x: Array, y: Array) -> Array:
         return self.variance * np.minimum(self._checked(x), self._checked(y).T)
