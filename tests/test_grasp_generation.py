@@ -310,6 +310,15 @@ def test_a_cloud_of_a_sphere():
     assert np.quantile(cosine, 0.05) > np.cos(0.1)
 
 
+def test_a_cloud_whose_points_are_all_repeated_is_spaced_like_its_places():
+    points, normals = sphere_points(800)
+    once, twice = (
+        grasps_on_cloud(np.tile(points, (n, 1)), np.tile(normals, (n, 1)), n_rays=200, approaches=2) for n in (1, 2)
+    )
+    assert len(once) > 20
+    np.testing.assert_allclose(twice.positions, once.positions, atol=1e-9)
+
+
 def test_a_plate_thinner_than_a_voxel_has_two_sides():
     mesh = MeshObject.from_trimesh(trimesh.creation.box((0.06, 0.06, 0.004)))
     seen = mesh.sample(2000, np.random.default_rng(0))
@@ -343,10 +352,12 @@ def test_the_cloud_is_in_the_grippers_way():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (np.empty((0, 3)), "points: expected at least 10, got 0"),
+        (np.empty((0, 3)), "points: expected at least 10 distinct ones, got 0"),
+        (np.tile(sphere_points(9)[0], (50, 1)), "expected at least 10 distinct ones, got 9 among 450"),
+        (np.tile(sphere_points(100)[0], (30, 1)), "a surface to estimate normals on, got one at 0 points only"),
         (np.full((20, 3), np.nan), "points: expected finite"),
         (np.outer(np.linspace(0, 1, 30), (1.0, 2.0, 3.0)), "points: expected points that spread"),
-        (np.zeros((20, 3)), "points: expected points that spread"),
+        (np.zeros((20, 3)), "at least 10 distinct ones, got 1 among 20"),
         (np.zeros((20, 2)), r"points: expected shape \(N, 3\)"),
     ],
 )

@@ -21,7 +21,7 @@ from baselines.objects.normals import estimate_normals
 from baselines.objects.observations import check_points
 
 FEWEST = 10
-"""Points that a cloud has to have."""
+"""Distinct points that a cloud has to have."""
 VOXEL_SPACINGS = 4.0
 """Edge of a voxel, in median distances of points from their nearest neighbours, unless one is given."""
 
@@ -31,8 +31,10 @@ def checked_cloud(points: ArrayLike) -> Array:
     p = check_points(points, "points") if np.size(points) else np.empty((0, 3))
     if p.shape[1] != 3:
         raise ValueError(f"points: expected shape (N, 3), got {p.shape}")
-    if len(p) < FEWEST:
-        raise ValueError(f"points: expected at least {FEWEST}, got {len(p)}")
+    distinct = len(np.unique(p, axis=0))
+    if distinct < FEWEST:
+        repeated = "" if distinct == len(p) else f" among {len(p)}, the others repeat them"
+        raise ValueError(f"points: expected at least {FEWEST} distinct ones, got {distinct}{repeated}")
     spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False)
     if spread[1] <= 1e-6 * spread[0]:
         raise ValueError("points: expected points that spread over a surface, got ones in a line or a single place")
@@ -94,7 +96,7 @@ def grasps_on_cloud(
         gripper: None is `GripperConfig()`.
         viewpoint: (3,) [m] where all points were seen from, which estimated normals are turned to. Without it, and
             without normals, rays are taken to go in and out by turns, which holds for complete clouds.
-        voxel: edge of a voxel [m]; None is 4 times the median distance to the nearest neighbour.
+        voxel: edge of a voxel [m]; None is 4 times the median distance to the nearest other place.
         friction: Coulomb coefficient; None is the gripper's.
         n_rays, rng, pattern, approaches, clearance: as `grasps_on_mesh` has them.
 
@@ -103,8 +105,8 @@ def grasps_on_cloud(
         "rays", "crossings" and "pairs".
 
     Raises:
-        ValueError: fewer than 10 points, points in a line, values that are not finite, normals that are not of unit
-            length, or another argument out of its range.
+        ValueError: fewer than 10 distinct points, points in a line, values that are not finite, normals that are not
+            of unit length, or another argument out of its range.
     """
     p = checked_cloud(points)
     search = GraspSearch.of(gripper, friction, approaches, clearance)
@@ -113,13 +115,13 @@ def grasps_on_cloud(
         view = None if viewpoint is None else finite("viewpoint", viewpoint, (3,))
         estimated = estimate_normals(p, np.zeros(3) if view is None else view)
         p, n, oriented = p[estimated.valid], estimated.normals[estimated.valid], view is not None
-        if len(p) < FEWEST:
-            raise ValueError(f"points: expected a surface to estimate normals on, got one at {len(p)} points only")
+        if (places := len(np.unique(p, axis=0))) < FEWEST:
+            raise ValueError(f"points: expected a surface to estimate normals on, got one at {places} points only")
     else:
         n, oriented = unit("normals", normals, p.shape), True
     if voxel is None:
-        nearest = cKDTree(p).query(p, k=2)[0][:, 1]
-        voxel = VOXEL_SPACINGS * float(np.median(nearest[nearest > 0.0])) if (nearest > 0.0).any() else 0.0
+        distinct = np.unique(p, axis=0)
+        voxel = VOXEL_SPACINGS * float(np.median(cKDTree(distinct).query(distinct, k=2)[0][:, 1]))
     cloud = Occupancy.build(p, n, voxel)
     rays = box_rays(p.min(axis=0), p.max(axis=0), n_rays, pattern, np.random.default_rng(rng))
     reasons: Counter[str] = Counter()
