@@ -25,6 +25,7 @@ from baselines.objects import (
     SquaredExponential,
     ThinPlate,
     gpis,
+    posterior,
 )
 
 POSE = se3_exp([0.02, -0.01, 0.03, 0.4, -0.7, 1.1])
@@ -101,7 +102,7 @@ def textbook_gram(kernel, x, y):
 
 
 def textbook(kernel, prior, points, normals, sigma, sigma_normal, x):
-    """Mean (M,), gradient (M, D) and variance (M,) by inverting the whole matrix."""
+    """Mean (M,), gradient (M, D) and joint covariance (values, then gradients) by inverting the whole matrix."""
     N, D = points.shape
     keep = np.ones((N, 1 + D), dtype=bool)
     targets = np.zeros((N, 1 + D))
@@ -116,8 +117,9 @@ def textbook(kernel, prior, points, normals, sigma, sigma_normal, x):
     k = textbook_gram(kernel, x, points)[:, keep]
     moments = (k @ np.linalg.solve(K, targets.ravel()[keep])).reshape(len(x), 1 + D)
     covariance = textbook_gram(kernel, x, x) - k @ np.linalg.solve(K, k.T)
-    values = np.arange(len(x)) * (1 + D)
-    return prior.value(x) + moments[:, 0], prior.gradient(x) + moments[:, 1:], covariance[np.ix_(values, values)]
+    rows = np.arange(len(covariance)).reshape(len(x), 1 + D)
+    order = np.concatenate([rows[:, 0], rows[:, 1:].ravel()])
+    return prior.value(x) + moments[:, 0], prior.gradient(x) + moments[:, 1:], covariance[np.ix_(order, order)]
 
 
 @pytest.mark.parametrize("with_normals", [False, True], ids=["values", "normals"])
@@ -127,7 +129,8 @@ def textbook(kernel, prior, points, normals, sigma, sigma_normal, x):
     ids=lambda value: value if isinstance(value, str) else named(value),
 )
 def test_equals_the_dense_textbook(kernel, prior, with_normals, monkeypatch):
-    monkeypatch.setattr(gpis, "CHUNK_ENTRIES", 1000)  # so that the queries come in several chunks
+    for module in (gpis, posterior):
+        monkeypatch.setattr(module, "CHUNK_ENTRIES", 1000)  # so that the queries come in several chunks
     points, normals, x = seen(12)
     normals = normals if with_normals else None
     sigma = np.linspace(0.01, 0.03, len(points))
@@ -137,7 +140,25 @@ def test_equals_the_dense_textbook(kernel, prior, with_normals, monkeypatch):
     assert model.jitter == 0.0
     np.testing.assert_allclose(got.mean, mean, rtol=0, atol=1e-8)
     np.testing.assert_allclose(got.gradient, gradient, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(got.variance, np.diag(covariance), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(got.variance, np.diag(covariance)[: len(x)], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("with_normals", [False, True], ids=["values", "normals"])
+@pytest.mark.parametrize("kernel", SPATIAL, ids=named)
+def test_joint_covariances_equal_the_dense_textbook(kernel, with_normals, monkeypatch):
+    monkeypatch.setattr(posterior, "CHUNK_ENTRIES", 1000)
+    points, normals, x = seen(12)
+    normals, pairs = normals if with_normals else None, x.reshape(3, 5, 2, 3)
+    model = GPIS(kernel, PRIORS["sphere"], 0.02, 0.07).fit(points, normals)
+    got = model.covariance(pairs, gradients=True)
+    assert got.shape == (3, 5, 8, 8)
+    for index in np.ndindex(3, 5):
+        _, _, covariance = textbook(kernel, PRIORS["sphere"], points, normals, 0.02, 0.07, pairs[index])
+        np.testing.assert_allclose(got[index], covariance, rtol=0, atol=1e-8 * max(1.0, np.abs(covariance).max()))
+    np.testing.assert_allclose(model.covariance(pairs), got[..., :2, :2], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(model.covariance(x)[4:6, 4:6], got[0, 2, :2, :2], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(model.observations.points, points)
+    assert model.covariance(np.empty((0, 2, 3)), gradients=True).shape == (0, 8, 8)
 
 
 @pytest.mark.parametrize("slopes", [None, np.array([[1.0], [-1.0], [1.0], [1.0]])], ids=["values", "normals"])
@@ -148,7 +169,9 @@ def test_periodic_process_equals_the_textbook(slopes):
     mean, gradient, covariance = textbook(kernel, prior, points, slopes, 0.02, 0.05, x)
     np.testing.assert_allclose(got.mean, mean, rtol=0, atol=1e-8)
     np.testing.assert_allclose(got.gradient, gradient, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(got.variance, np.diag(covariance), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(got.variance, np.diag(covariance)[: len(x)], rtol=0, atol=1e-8)
+    model = GPIS(kernel, prior, 0.02, 0.05).fit(points, slopes)
+    np.testing.assert_allclose(model.covariance(x, gradients=True), covariance, rtol=0, atol=1e-8)
 
 
 def test_brownian_bridge_has_its_known_variance():
@@ -184,7 +207,8 @@ def test_samples_have_the_posterior_mean_and_covariance(with_normals):
     kernel, prior = SPATIAL[0], PRIORS["ellipsoid"]
     model = GPIS(kernel, prior, 0.02, 0.1).fit(points, normals)
     draws = model.sample(x, count, np.random.default_rng(1))
-    mean, _, covariance = textbook(kernel, prior, points, normals, 0.02, 0.1, x)
+    mean, _, joint = textbook(kernel, prior, points, normals, 0.02, 0.1, x)
+    covariance = joint[:6, :6]
     assert draws.shape == (count, 6)
     spread = np.diag(covariance)
     assert (np.abs(draws.mean(axis=0) - mean) < 5 * np.sqrt(spread / count)).all()
@@ -366,6 +390,9 @@ def test_duplicates_with_noise_are_taken():
         (lambda: GPIS(ThinPlate(0.5)).fit(POINTS).predict([[1.0, 0, 0]]), "radius: expected at least the largest"),
         (lambda: GPIS(SPATIAL[0]).fit(POINTS).predict([[0.0, np.nan, 0]]), "x: expected finite"),
         (lambda: GPIS(SPATIAL[0]).fit(POINTS).predict([[0.0, 0.0]]), "x: expected shape"),
+        (lambda: GPIS(SPATIAL[0]).fit(POINTS).covariance(POINTS[0]), r"x: expected shape \(N, D\)"),
+        (lambda: GPIS(SPATIAL[0]).fit(POINTS).covariance(POINTS[..., :2]), r"x: expected shape \(N, 3\)"),
+        (lambda: GPIS(Brownian()).fit([[1.0]]).covariance([[0.5]], gradients=True), "expected a differentiable"),
         (lambda: GPIS(SPATIAL[0]).fit(POINTS).sample(POINTS, -1, np.random.default_rng()), "n: expected"),
     ],
 )

@@ -22,9 +22,9 @@ from baselines.grasping import (
 )
 from baselines.grasping.candidates import Pairs
 from baselines.grasping.clearance import mesh_collisions, swept_boxes
-from baselines.grasping.gpis_contacts import closing_probability, descend, pair_covariances
+from baselines.grasping.gpis_contacts import closing_probability, descend
 from baselines.grasping.on_mesh import opposed_pairs
-from baselines.objects import GPIS, Constant, Ellipsoid, Matern52, Sphere, SquaredExponential
+from baselines.objects import GPIS, Constant, Ellipsoid, Sphere, SquaredExponential
 from baselines.objects.mesh import MeshObject
 
 GRIPPER = GripperConfig()
@@ -402,29 +402,6 @@ def test_what_was_seen_is_surer_than_what_was_not():
     assert found.score[0] > 0.95
 
 
-def test_the_covariance_of_a_pair_is_that_of_the_process():
-    for kernel in (SquaredExponential(0.03, 1e-4), Matern52(0.05, 1e-4)):
-        points, normals = sphere_points(20)
-        model = GPIS(kernel, Sphere(0.03), noise=1e-3, normal_noise=0.1).fit(points, normals)
-        pairs = np.random.default_rng(4).uniform(-0.04, 0.04, (20, 2, 3))
-        covariance = pair_covariances(model, pairs)
-        variance = model.predict(pairs.reshape(-1, 3), variance=True).variance.reshape(-1, 2)
-        assert np.allclose(np.diagonal(covariance, axis1=1, axis2=2)[:, :2], variance, rtol=1e-6, atol=1e-12)
-        # Gradients are limits of differences: f(x + h e) − f(x − h e), whose covariance the samples' root gives.
-        h, x = 1e-3, pairs[0]
-        stencil = np.concatenate([x, *(x[k] + s * h * np.eye(3) for k in (0, 1) for s in (1.0, -1.0))])
-        prior = kernel.value(stencil, stencil)
-        data = model._fitted()
-        cross = kernel.cross(stencil, data.observations.points, True)
-        joint = prior - cross @ np.stack([data.factor.solve(row) for row in cross], axis=1)
-        take = np.zeros((8, len(stencil)))
-        take[0, 0] = take[1, 1] = 1.0
-        for k in (0, 1):
-            for i in range(3):
-                take[2 + 3 * k + i, 2 + 6 * k + i], take[2 + 3 * k + i, 5 + 6 * k + i] = 0.5 / h, -0.5 / h
-        assert np.allclose(take @ joint @ take.T, covariance[0], rtol=0.02, atol=0.02 * np.abs(covariance[0]).max())
-
-
 def test_the_probability_is_that_of_the_samples():
     model = sphere_process(30)
     u = sphere_points(5, 1.0, seed=3)[1]
@@ -432,7 +409,7 @@ def test_the_probability_is_that_of_the_samples():
     gradients = model.predict(pairs.positions.reshape(-1, 3), gradient=True).gradient.reshape(-1, 2, 3)
     for friction in (0.1, 0.4):
         p, error = closing_probability(model, pairs, gradients, friction, 4000, np.random.default_rng(0))
-        covariance = pair_covariances(model, pairs.positions)
+        covariance = model.covariance(pairs.positions, gradients=True)
         for k in range(5):  # written again, one pair at a time
             drawn = np.random.default_rng(1 + k).multivariate_normal(np.zeros(8), covariance[k], 4000)
             slope = gradients[k] + drawn[:, 2:].reshape(-1, 2, 3)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 from baselines.grasping.candidates import Pairs
 from baselines.grasping.contacts import Array
@@ -91,36 +90,6 @@ def opposite(gp: GPIS, points: Array, inward: Array, farthest: float, samples: i
     return Descent(points + at[:, None] * inward, slopes, converged)
 
 
-def pair_covariances(gp: GPIS, positions: Array) -> Array:
-    """Posterior covariance (P, 8, 8) of f₀, f₁, ∂f₀ (3), ∂f₁ (3) at the two points of each pair (P, 2, 3)."""
-    fit = gp._fitted()
-    data, points, kernel = fit.observations, positions.reshape(-1, 3), gp.kernel
-    m, n = len(points), len(data.points)
-    cross = np.empty((m, 4, fit.factor.lower.shape[0]))
-    cross[:, 0] = kernel.cross(points, data.points, data.normals is not None)
-    cross[:, 1:, :n] = kernel.gradient(data.points, points).transpose(1, 2, 0)
-    if data.normals is not None:
-        cross[:, 1:, n:] = kernel.hessian(points, data.points).transpose(0, 2, 1, 3).reshape(m, 3, -1)
-    both = cross.reshape(m // 2, 2, 4, -1)
-    ordered = np.concatenate([both[:, :, 0], both[:, 0, 1:], both[:, 1, 1:]], axis=1).reshape(4 * m, -1)
-    half = solve_triangular(fit.factor.lower, ordered.T, lower=True, check_finite=False).T.reshape(m // 2, 8, -1)
-    return _priors(gp, points) - half @ half.transpose(0, 2, 1)
-
-
-def _priors(gp: GPIS, points: Array, together: int = 16) -> Array:
-    """The same before any observation, of consecutive points (2P, 3)."""
-    out = np.empty((len(points) // 2, 8, 8))
-    for start in range(0, len(points), together):
-        part = points[start : start + together]
-        count = len(part)
-        gram = gp.kernel.gram(part, True)
-        first = np.arange(0, count, 2)[:, None]
-        values, slopes = first + np.arange(2), count + 3 * first + np.arange(6)
-        rows = np.concatenate([values, slopes], axis=1)
-        out[start // 2 : (start + count) // 2] = gram[rows[:, :, None], rows[:, None, :]]
-    return out
-
-
 def closing_probability(
     gp: GPIS, pairs: Pairs, gradients: Array, friction: float, samples: int, rng: np.random.Generator
 ) -> tuple[Array, Array]:
@@ -141,7 +110,7 @@ def closing_probability(
     """
     if not len(pairs.positions):
         return np.empty(0), np.empty(0)
-    values, vectors = np.linalg.eigh(pair_covariances(gp, pairs.positions))
+    values, vectors = np.linalg.eigh(gp.covariance(pairs.positions, gradients=True))  # of f₀, f₁, ∂f₀ (3), ∂f₁ (3)
     roots = vectors * np.sqrt(np.maximum(values, 0.0))[:, None]
     drawn = np.matmul(rng.standard_normal((samples, 8)), roots.transpose(0, 2, 1))  # (P, S, 8)
     squared = (gradients**2).sum(axis=-1, keepdims=True)

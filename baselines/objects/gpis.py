@@ -8,24 +8,22 @@ Sources: Williams & Fitzgibbon 2007, "Gaussian process implicit surfaces"; Rasmu
 section 9.4 (derivative observations); Dragiev, Toussaint & Gienger 2011 (normals).
 """
 
-from collections.abc import Callable, Collection, Iterator
+import math
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
-from scipy.linalg import solve_triangular
 
 from baselines.objects.kernels import Kernel
 from baselines.objects.likelihood import Bounds, log_likelihood, maximise, scaled
 from baselines.objects.linear_algebra import Array, Factor, checked_variance, factorise
 from baselines.objects.observations import Observations, check_observations, check_points
+from baselines.objects.posterior import CHUNK_ENTRIES, chunks, joint_covariance
 from baselines.objects.priors import Constant, Prior
-from baselines.objects.surface import MAX_CELLS, check_resolution, mesh, walk
-
-CHUNK_ENTRIES = 2**20
-"""Entries of the largest block of cross-covariance held at a time in `predict` (8 MB in float64)."""
+from baselines.objects.surface import MAX_CELLS, approach, check_resolution, mesh, walk
 
 CHUNK_PAIRS = 2**13
 """Pairs of query and observation at a time for the mean, few enough to stay in cache and off fresh pages."""
@@ -57,11 +55,6 @@ class _Fit(NamedTuple):
     factor: Factor
     residual: Array  # (n,) targets less the prior mean
     weights: Array  # (n,) K_y⁻¹ residual
-
-
-def _chunks(count: int, size: int) -> Iterator[slice]:
-    size = max(size, 1)
-    return (slice(start, min(start + size, count)) for start in range(0, count, size))
 
 
 class GPIS:
@@ -99,6 +92,11 @@ class GPIS:
     def __repr__(self) -> str:
         state = "not fitted" if self._fit is None else f"{len(self._fit.observations.points)} points"
         return f"GPIS({self.kernel}, {self.prior}, noise={self.noise}, normal_noise={self.normal_noise}; {state})"
+
+    @property
+    def observations(self) -> Observations:
+        """What it was fitted to."""
+        return self._fitted().observations
 
     @property
     def jitter(self) -> float:
@@ -169,15 +167,34 @@ class GPIS:
         values, slopes = fit.weights[: len(points)], None
         if fit.observations.normals is not None:
             slopes = fit.weights[len(points) :].reshape(points.shape)
-        for part in _chunks(len(x), CHUNK_PAIRS // len(points)):
+        for part in chunks(len(x), CHUNK_PAIRS // len(points)):
             mean_part, slope_part = self.kernel.weighted(x[part], points, values, slopes, gradient)
             mean[part] += mean_part
             if slope is not None and slope_part is not None:
                 slope[part] += slope_part
         if spread is not None:
-            for part in _chunks(len(x), CHUNK_ENTRIES // len(fit.weights)):
+            for part in chunks(len(x), CHUNK_ENTRIES // len(fit.weights)):
                 spread[part] = checked_variance(spread[part], self._cross(x[part]), fit.factor)
         return Prediction(mean, slope, spread)
+
+    def covariance(self, x: ArrayLike, gradients: bool = False) -> Array:
+        """Joint posterior covariance (..., n, n) of f, without noise, at each group of points x (..., M, D) [m].
+
+        n = M; with `gradients` the M values are followed by the gradients, point by point: n = M(1 + D). A group's
+        points are taken together, groups are independent of each other: (P, 2, D) are P pairs.
+
+        Raises:
+            ValueError: bad x, or gradients of a kernel without them.
+            RuntimeError: the model is not fitted.
+        """
+        fit = self._fitted()
+        array = np.asarray(x, dtype=np.float64)
+        flat = array.reshape(math.prod(array.shape[:-1]), array.shape[-1]) if array.ndim > 2 else array
+        points = check_points(flat, "x")
+        self._check_dimension(points, "x")
+        groups = points.reshape(math.prod(array.shape[:-2]), *array.shape[-2:])
+        found = joint_covariance(self.kernel, fit.observations, fit.factor, groups, gradients)
+        return found.reshape(*array.shape[:-2], *found.shape[1:])
 
     def sample(self, x: ArrayLike, n: int, rng: np.random.Generator) -> Array:
         """n joint draws (n, M) of f, without noise, at x (M, D) [m] from the posterior.
@@ -192,8 +209,7 @@ class GPIS:
             raise ValueError(f"n: expected a number of draws ≥ 0, got {n}")
         mean = self.predict(x).mean
         x = np.asarray(x, dtype=np.float64)
-        half = solve_triangular(fit.factor.lower, self._cross(x).T, lower=True, check_finite=False)
-        covariance = self.kernel.value(x, x) - half.T @ half
+        covariance = self.covariance(x)
         # The posterior covariance is singular near the data, where Cholesky fails: take the symmetric root.
         eigenvalues, vectors = np.linalg.eigh(covariance)
         tolerance = fit.factor.rounding * self.kernel.diagonal(x).max(initial=0.0) * max(len(x), 1)
@@ -274,23 +290,15 @@ class GPIS:
             mean, _, variance = self.predict(x, variance=sigma != 0.0)
             return mean if variance is None else mean - sigma * np.sqrt(variance)
 
-        walked = walk(level, self._project(level, points, resolution), resolution, max_cells)
+        def slope(x: Array) -> Array:
+            gradient = self.predict(x, gradient=True).gradient
+            assert gradient is not None
+            return gradient
+
+        walked = walk(level, approach(level, slope, points, resolution), resolution, max_cells)
         found = mesh(walked)
         found.metadata["evaluated"] = len(walked.keys)
         return found
-
-    def _project(self, level: Callable[[Array], Array], points: Array, step: float, iterations: int = 20) -> Array:
-        """Points moved towards level = 0 along the mean's gradient, by no more than `step` at a time."""
-        x = points
-        for _ in range(iterations):
-            slope = self.predict(x, gradient=True).gradient
-            assert slope is not None
-            steepness = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)  # flat where the data does not reach
-            distance = level(x) / steepness
-            x = x - (np.clip(distance, -step, step) / steepness)[:, None] * slope
-            if (np.abs(distance) < 0.5 * step).all():
-                break
-        return x
 
     def _fitted(self) -> _Fit:
         if self._fit is None:

@@ -29,6 +29,7 @@ _STEPS = np.concatenate([-np.eye(3, dtype=np.int64), np.eye(3, dtype=np.int64)])
 _FACES = np.array([np.flatnonzero(_CORNERS @ step == max(step.sum(), 0)) for step in _STEPS])  # (6, 4) their corners
 _TETRAHEDRA = np.array([np.cumsum([0] + [4 >> axis for axis in order]) for order in permutations(range(3))])  # (6, 4)
 _AROUND = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
+_APPROACHES = 20  # steps of seeds towards the surface
 _ON_NODE = 1e-3  # vertices keep this fraction of an edge away from its ends, lest triangles degenerate
 
 
@@ -50,6 +51,21 @@ def check_resolution(resolution: float) -> None:
     """Raises ValueError for an edge of a cell that is not a positive length."""
     if not 0.0 < resolution < np.inf:
         raise ValueError(f"resolution: expected a positive length [m], got {resolution}")
+
+
+def approach(
+    function: Callable[[Array], Array], gradient: Callable[[Array], Array], points: Array, step: float
+) -> Array:
+    """Points (N, 3) moved towards {function = 0} along a gradient (M, 3), by no more than `step` [m] at a time."""
+    x = points
+    for _ in range(_APPROACHES):
+        slope = gradient(x)
+        steepness = np.maximum(np.linalg.norm(slope, axis=1), 1e-12)  # flat where the data does not reach
+        distance = function(x) / steepness
+        x = x - (np.clip(distance, -step, step) / steepness)[:, None] * slope
+        if (np.abs(distance) < 0.5 * step).all():
+            break
+    return x
 
 
 def walk(
