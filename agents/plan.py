@@ -158,9 +158,7 @@ def _parser() -> Parser:
     )
     parser.add_argument("--gripper-width", type=_positive, default=0.10, metavar="M", help="opening (default: 0.10 m)")
     parser.add_argument("--friction", type=_positive, default=0.7, metavar="MU", help="(default: 0.7)")
-    parser.add_argument(
-        "--noise", type=float, default=0.001, metavar="M", help="of the surface, for PFC (default: 1 mm)"
-    )
+    parser.add_argument("--noise", type=float, default=0.001, metavar="M", help="of surface or points (default: 1 mm)")
     parser.add_argument("--points", type=positive_int, default=300, metavar="N", help="of a cloud's implicit surface")
     parser.add_argument("--rays", type=positive_int, default=2000, metavar="N", help="effort (default: 2000)")
     parser.add_argument("--no-cache", dest="cache", action="store_false", help="search a mesh anew")

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -14,19 +15,21 @@ from agents.plan_page import Scene, Surface
 from agents.plan_settings import Array, Found, PriorName, Say, Settings
 from baselines.grasping.on_cloud import grasps_on_cloud
 from baselines.grasping.on_gpis import grasps_on_gpis
-from baselines.objects import GPIS, Constant, Matern52, Prior, SurfaceError
+from baselines.grasping.planning import ObjectEstimate, PlannerConfig, estimate_object
+from baselines.objects import GPIS, SurfaceError
 from baselines.objects.mesh import MeshObject
 from baselines.objects.point_cloud import PointCloudObject
 from baselines.objects.prior_fit import PriorFit, fit_cylinder, fit_ellipsoid, fit_plane
 from baselines.objects.surface import mesh as surface_mesh
 from baselines.objects.surface import walk
 
-LEARNING_POINTS = 90  # on which the process' length scale and deviation are chosen
 CELLS = 28  # of the drawn surfaces, along the object
 MAX_CELLS = 15_000
 FLATTEST = 0.1  # slope of the mean, 1 on a clear surface, below which its standard deviation is not blown up further
 COARSE = 0.25  # of the jaws' opening: points farther apart than this do not show what is between the jaws
 NEAREST_VIEW = 0.1  # [m] depth sensors see nothing nearer: a closer viewpoint is the origin of some other frame
+
+FITS: Mapping[str, Callable[..., PriorFit]] = {"ellipsoid": fit_ellipsoid, "cylinder": fit_cylinder, "plane": fit_plane}
 
 
 def read_cloud(path: Path, settings: Settings) -> tuple[PointCloudObject, Array | None]:
@@ -83,13 +86,12 @@ def on_points(cloud: PointCloudObject, view: Array | None, settings: Settings, s
         cloud = cloud.farthest_point_sample(settings.points)
     _check_spacing(cloud.points, settings)
     say(f"fitting a {settings.prior} and a Gaussian process to {len(cloud)} points")
-    prior, said = fit_prior(settings.prior, cloud, view)
-    model = fit_model(cloud, prior)
+    (model, center, *_), said = fit_model(settings.prior, cloud, view, settings.noise)
     say("drawing the estimated surface and its shells")
     surface, shells, missing = _surfaces(model, cloud)
     mesh = None if surface is None else MeshObject.from_arrays(surface.vertices, surface.faces, scale=1.0)
-    if mesh is not None and mesh.watertight and mesh.volume > 0.0:
-        center = mesh.center_of_mass
+    if view is None and mesh is not None and mesh.watertight and mesh.volume > 0.0:
+        center = mesh.center_of_mass  # all of it was seen: nothing to be wary of
     say("descending to contacts, and drawing samples of them")
     grasps = grasps_on_gpis(model, settings.gripper, max(settings.rays // 4, 1), settings.seed, center)
     scene = Scene(surface, cloud.points, shells, view, center)
@@ -109,33 +111,30 @@ def _check_spacing(points: Array, settings: Settings) -> None:
         )
 
 
-def fit_prior(name: PriorName, cloud: PointCloudObject, view: Array | None) -> tuple[Prior, list[str]]:
-    """The prior of that name fitted to a cloud, and what there is to say about it."""
+def fit_model(name: PriorName, cloud: PointCloudObject, view: Any, noise: float) -> tuple[ObjectEstimate, list[str]]:
+    """The planner's estimate of a cloud's object, about the prior of that name, and what there is to say about it.
+
+    A cylinder or a plane takes the ellipsoid's place in the model; the centre of mass stays that of the ellipsoid's.
+
+    Args:
+        cloud: with normals.
+        view: (3,) [m] where it was seen from; None if from all round.
+        noise: standard deviation of the points [m].
+    """
+    config = PlannerConfig("constant" if name == "constant" else "ellipsoid", len(cloud))
+    assert cloud.normals is not None
+    estimate = estimate_object(cloud.points, cloud.normals, np.full(len(cloud), noise), view, config)
     if name == "constant":
-        return Constant(0.25 * float(cloud.extents.max())), []
-    fits: dict[str, Callable[..., PriorFit]] = {
-        "ellipsoid": fit_ellipsoid,
-        "cylinder": fit_cylinder,
-        "plane": fit_plane,
-    }
-    fit = fits[name](cloud.points, cloud.normals, view)
+        return estimate, []
+    like, seen = estimate.model, estimate.model.observations
+    fit = FITS[name](seen.points, seen.normals, view)
     said = [f"prior: {name}, {1e3 * fit.residual:.1f} mm (r.m.s.) from the points"]
-    return fit.prior, said + ([f"prior: {fit.reason}"] if fit.reason else [])
-
-
-def fit_model(cloud: PointCloudObject, prior: Prior) -> GPIS:
-    """A Gaussian process about the prior; its parameters have the highest likelihood on a part of the points."""
-    size = float(cloud.extents.max())
-    start = GPIS(Matern52(0.3 * size, (0.1 * size) ** 2), prior, noise=max(0.005 * size, 2e-4), normal_noise=0.15)
-    some = cloud.farthest_point_sample(min(LEARNING_POINTS, len(cloud)))
-    bounds = {
-        "length_scale": (0.1 * size, 2.0 * size),
-        "variance": ((0.02 * size) ** 2, (0.5 * size) ** 2),
-        "noise": (0.1, 5.0),  # noise by factors
-        "normal_noise": (0.2, 3.0),
-    }
-    best = start.fit(some.points, some.normals).optimize(bounds, max_iterations=40).model
-    return GPIS(best.kernel, prior, best.noise, best.normal_noise).fit(cloud.points, cloud.normals)
+    if fit.reason:
+        said.append(f"prior: {fit.reason}")
+    if name == "ellipsoid":
+        return estimate, said
+    model = GPIS(like.kernel, fit.prior, like.noise, like.normal_noise)
+    return estimate._replace(model=model.fit(seen.points, seen.normals, seen.deviations[: len(seen.points)])), said
 
 
 def _surfaces(model: GPIS, cloud: PointCloudObject) -> tuple[Surface | None, dict[float, Surface], list[str]]:

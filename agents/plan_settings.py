@@ -35,7 +35,7 @@ class Settings:
     top: int = 10
     seed: int = 0
     gripper: GripperConfig = field(default_factory=GripperConfig)
-    noise: float = 0.001  # [m] standard deviation of the surface, for the probability on meshes and clouds
+    noise: float = 0.001  # [m] standard deviation of a mesh's surface, for the probability, and of a cloud's points
     scale: float | None = None  # metres per unit of the file
     viewpoint: tuple[float, float, float] | None = None  # [m] where a cloud was seen from
     all_round: bool = False  # whether a cloud was seen from all round, its normals to be turned away from its middle

@@ -15,12 +15,12 @@ from aerograsp_env.interfaces import Grasp
 from aerograsp_env.sim.gripper import GripperConfig
 from agents import cli
 from agents.plan import COLUMNS, plan_text
-from agents.plan_cloud import fit_prior, read_cloud
+from agents.plan_cloud import fit_model, read_cloud
 from agents.plan_page import DrawnGrasp, Scene, Surface, figure, gripper_mesh, plan_page, rank_color
 from agents.plan_settings import METRICS, Settings
 from agents.planning import holds_mesh, noisy_closure, plan, unlike
 from baselines.grasping import grasps_on_mesh
-from baselines.objects import Constant
+from baselines.grasping.planning import PlannerConfig, estimate_object
 from baselines.objects.point_cloud import PointCloudObject
 
 DATA = Path(os.environ.get("AEROGRASP_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -140,12 +140,27 @@ def test_normals_of_a_cloud_face_where_it_was_seen_from(tmp_path: Path) -> None:
     assert (cropped.points[:, 0] >= 0.0).all()
 
 
-def test_priors_by_name() -> None:
+@pytest.mark.parametrize("prior", ["ellipsoid", "constant"])
+def test_the_model_of_a_cloud_is_the_planners(prior: str) -> None:
     cloud = PointCloudObject(half_ball(), viewpoint=np.zeros(3)).estimate_normals()
-    for name in ("ellipsoid", "cylinder", "plane"):
-        prior, said = fit_prior(name, cloud, np.zeros(3))  # type: ignore[arg-type]
-        assert prior.dimension == 3 and said[0].startswith(f"prior: {name}")
-    assert isinstance(fit_prior("constant", cloud, None)[0], Constant)
+    found, said = fit_model(prior, cloud, np.zeros(3), 1e-3)  # type: ignore[arg-type]
+    config, noise = PlannerConfig(prior, len(cloud)), np.full(len(cloud), 1e-3)  # type: ignore[arg-type]
+    expected = estimate_object(cloud.points, cloud.normals, noise, np.zeros(3), config)
+    np.testing.assert_array_equal(found.center, expected.center)
+    x = cloud.points + 0.01
+    np.testing.assert_array_equal(found.model.predict(x).mean, expected.model.predict(x).mean)
+    assert [text.split(",")[0] for text in said] == ["prior: ellipsoid"] * (prior == "ellipsoid")
+
+
+def test_other_priors_take_the_ellipsoids_place() -> None:
+    cloud = PointCloudObject(half_ball(), viewpoint=np.zeros(3)).estimate_normals()
+    ellipsoid, _ = fit_model("ellipsoid", cloud, np.zeros(3), 1e-3)
+    for name in ("cylinder", "plane"):
+        found, said = fit_model(name, cloud, np.zeros(3), 1e-3)  # type: ignore[arg-type]
+        assert said[0].startswith(f"prior: {name}") and found.model.kernel == ellipsoid.model.kernel
+        assert type(found.model.prior) is not type(ellipsoid.model.prior)
+        for got, expected in zip(found.model.observations, ellipsoid.model.observations, strict=True):
+            np.testing.assert_array_equal(got, expected)
 
 
 @pytest.mark.parametrize("prior", ["plane", "cylinder"])
@@ -313,8 +328,8 @@ def test_real_meshes_and_clouds_have_grasps() -> None:
         ("meshes_ycb/YcbMustardBottle/textured_simple_reoriented.obj", {}),
         ("meshes_grasping_tools/mesh_grasping/samples/multitool.stl", {}),
         ("clouds_gpd/krylon.pcd", {"all_round": True, "points": 150}),
-        ("clouds_pcl/bun0.pcd", {"viewpoint": (0.0, 0.1, 1.0), "points": 150}),
+        ("clouds_pcl/bun0.pcd", {"viewpoint": (0.0, 0.1, 1.0), "points": 150, "rays": 2000}),  # hardly fits the jaws
     ):
-        found = plan(DATA / path, Settings(rays=800, cache=False, **options))
+        found = plan(DATA / path, Settings(**{"rays": 800, "cache": False, **options}))
         assert len(found.grasps) == 10, path
         assert found.metrics["pfc"][0] > 0.7 and plan_text(found, "pfc").count("\n") > 12
