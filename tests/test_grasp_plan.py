@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import gymnasium
 import numpy as np
@@ -12,10 +13,12 @@ from grasp_worlds import X, Z, box, cylinder, grasp
 from scipy.spatial.transform import Rotation
 
 import aerograsp_env  # noqa: F401  registers the ids
+from aerograsp_env.envs import grasp_start
 from aerograsp_env.envs.grasp_options import draw_orientation, draw_view
 from aerograsp_env.envs.grasp_plan import GraspPlanEnv, decode_action, encode_grasp, unpack_cloud
+from aerograsp_env.envs.grasp_start import VIEWS
 from aerograsp_env.interfaces import Grasp
-from aerograsp_env.sim.depth_view import DepthCameraConfig, look_at, middle_and_radius, partial_view
+from aerograsp_env.sim.depth_view import DepthCameraConfig, UnseenError, look_at, middle_and_radius, partial_view
 from aerograsp_env.sim.gripper import GripperConfig
 from aerograsp_env.sim.objects import test_objects as named_objects
 from aerograsp_env.spatial import inverse, transform_points
@@ -122,6 +125,40 @@ def test_few_seen_points_repeat_and_are_counted():
     view = partial_view(box(), np.eye(3), X, 512, camera, np.random.default_rng(0), False)
     assert view.points.shape == (512, 3)
     assert view.distinct == len(np.unique(view.points, axis=0)) < 100
+
+
+def test_a_view_that_shows_nothing_is_drawn_again(monkeypatch):
+    narrow = DepthCameraConfig(grazing_start=math.radians(14.0), grazing_limit=math.radians(15.0))  # faces it looks at
+    tries = []
+
+    def counted(*arguments):
+        tries.append(arguments[2])
+        return partial_view(*arguments)
+
+    monkeypatch.setattr(grasp_start, "partial_view", counted)
+    env, seen = make(objects=box((0.07, 0.07, 0.07)), depth_camera=narrow), 0
+    for seed in range(12):
+        begun = len(tries)
+        try:
+            first, _ = env.reset(seed=seed)
+        except UnseenError as error:
+            assert len(tries) == begun + VIEWS and re.search(
+                "object: expected one that can be seen.*10 views", str(error)
+            )
+            continue
+        seen += 1
+        again, _ = env.reset(seed=seed)
+        np.testing.assert_array_equal(first["points"], again["points"])
+    views = np.array(tries)
+    assert len(views) > 30 and seen > 5 and len(np.unique(views, axis=0)) > 20
+
+
+def test_a_view_that_is_asked_for_is_not_exchanged():
+    env = make(objects=box(), depth_camera=DepthCameraConfig(grazing_start=0.01, grazing_limit=0.02))
+    with pytest.raises(UnseenError, match=r"view: expected one that shows at least 3 pixels of 'box', got \d+ from"):
+        env.reset(seed=0, options={"orientation": (1, 0, 0, 0), "view": (1, 1, 1)})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros(10, np.float32))
 
 
 @pytest.mark.parametrize("direction", [Z, -Z, X, np.array([0.6, 0.0, -0.8])])

@@ -21,27 +21,13 @@ from aerograsp_env.envs.grasp_cloud import (
     pack_cloud,
     unpack_cloud,
 )
-from aerograsp_env.envs.grasp_options import (
-    GraspRandomizeConfig,
-    ObjectChoice,
-    check_start,
-    draw_orientation,
-    draw_view,
-    varied,
-)
+from aerograsp_env.envs.grasp_options import GraspRandomizeConfig, ObjectChoice, check_start
+from aerograsp_env.envs.grasp_outcome import metrics, reward_terms
+from aerograsp_env.envs.grasp_start import begin
 from aerograsp_env.envs.options import REWARD_MODES, check_action, choose, instance
 from aerograsp_env.interfaces import Grasp
-from aerograsp_env.rewards import tolerance
-from aerograsp_env.sim.depth_view import DepthCameraConfig, PartialView, partial_view
-from aerograsp_env.sim.grasp_judge import (
-    STRICT_SLIP,
-    STRICT_TURN,
-    JudgeConfig,
-    Judgement,
-    Recording,
-    judge_grasp,
-    record_grasp,
-)
+from aerograsp_env.sim.depth_view import DepthCameraConfig, PartialView
+from aerograsp_env.sim.grasp_judge import JudgeConfig, Judgement, Recording, judge_grasp, record_grasp
 from aerograsp_env.sim.grasp_scene import grasp_model
 from aerograsp_env.sim.grasp_view import CAMERAS, GraspView
 from aerograsp_env.sim.gripper import GripperConfig
@@ -206,31 +192,16 @@ class GraspPlanEnv(gymnasium.Env):
         options: "object", the name of one of the environment's objects or families; "orientation" (4,), the
         quaternion wxyz that turns the object's axes to the world's; "view" (3,), the direction from the object to the
         camera; "occluded", whether something hides one side of it.
+
+        Raises:
+            ValueError: an option that is none of these or not of its kind; an object that is too large for the camera,
+                or that is not seen in ten drawn views or in the one asked for.
         """
         start = check_start(options, self._choice.names)
         super().reset(seed=seed)
-        rng, camera = self.np_random, self.depth_camera
-        item = self._choice.pick(seed, rng, start.name)
-        # All is drawn whatever the options fix, so that one option leaves the other draws as they were.
-        orientation, view, hidden = (
-            draw_orientation(rng),
-            draw_view(rng),
-            bool(rng.random() < camera.occluded_probability),
-        )
-        if self.randomize is not None:
-            item = varied(item, self.randomize, rng)
-            camera = camera.scaled(rng.uniform(*self.randomize.noise))
-        self._seen = partial_view(
-            item,
-            orientation if start.R_world_object is None else start.R_world_object,
-            view if start.view is None else start.view,
-            self.points,
-            camera,
-            rng,
-            hidden if start.occluded is None else start.occluded,
-            self.gripper,
-        )
-        self._object, self._tried = item, None
+        config = self.randomize, self.depth_camera, self.points, self.gripper
+        self._object, self._seen = begin(self._choice, start, *config, seed, self.np_random)
+        self._tried = None
         self._observation = pack_cloud(self._seen)
         self._drop_view()
         return self._copy(), self._info(None)
@@ -274,9 +245,7 @@ class GraspPlanEnv(gymnasium.Env):
         view = self._scene_view()
         if recording is None:
             return [view.before("rgb_array")]
-        times = np.arange(recording.times[0], recording.times[-1] + 0.5 / fps, 1.0 / fps)
-        rows = np.minimum(np.searchsorted(recording.times, times), len(recording.times) - 1)
-        return [view.during(recording, int(row), "rgb_array") for row in rows]
+        return view.film(recording, fps)
 
     def close(self) -> None:
         """Free the renderer."""
@@ -298,19 +267,10 @@ class GraspPlanEnv(gymnasium.Env):
         return {name: value.copy() for name, value in self._observation.items()}
 
     def _info(self, judgement: Judgement | None) -> dict[str, Any]:
-        metrics: dict[str, float] = {}
-        if judgement is not None:
-            metrics = {
-                "held": float(judgement.held),
-                "strict": float(judgement.strict),
-                "survived": judgement.survived,
-            }
-            if judgement.held:
-                metrics |= {"slip": judgement.slip, "turn": judgement.turn}
         return {
             "success": judgement is not None and judgement.held,
             "reward_terms": reward_terms(judgement, self.reward_mode),
-            "metrics": metrics,
+            "metrics": {} if judgement is None else metrics(judgement),
             "termination": "" if judgement is None else judgement.outcome,
             "object": self.object.name,
             "family": self.object.family,
@@ -330,18 +290,6 @@ class GraspPlanEnv(gymnasium.Env):
         if self._view is not None:
             self._view.close()
             self._view = None
-
-
-def reward_terms(judgement: Judgement | None, mode: str) -> dict[str, float]:
-    """The terms whose sum is the reward; None before anything was judged."""
-    held = judgement is not None and judgement.held
-    if mode == "sparse":
-        return {"held": float(held)}
-    terms = {"survived": 0.0 if judgement is None else 0.5 * judgement.survived, "slip": 0.0, "turn": 0.0}
-    if judgement is not None and held:
-        for name, value, margin in (("slip", judgement.slip, STRICT_SLIP), ("turn", judgement.turn, STRICT_TURN)):
-            terms[name] = 0.25 * float(tolerance(value, margin=margin, sigmoid="linear", value_at_margin=0.0))
-    return terms
 
 
 def _configured(name: str, value: Any, kind: type) -> Any:

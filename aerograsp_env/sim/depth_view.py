@@ -24,6 +24,11 @@ _PATCH = 0.006  # [m] half the side of the patch that a normal is fitted to
 _WINDOW = 4  # pixels of it that are used on either side of the middle
 _MARGIN = 1.02  # of the picture around the object
 _NOISE_DISTANCE = 0.5  # [m] at which `sigma_quadratic` is reached
+_FEWEST = 3  # pixels that make a view
+
+
+class UnseenError(ValueError):
+    """A view shows nothing of the object."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +122,8 @@ def partial_view(
         gripper: only which compiled model of the object is used.
 
     Raises:
-        ValueError: an object so large that the camera would stand in it, or of which nothing can be seen.
+        ValueError: an object so large that the camera would stand in it; (UnseenError) one of which fewer than
+            three pixels are seen.
     """
     middle, radius = middle_and_radius(item)
     if radius > 0.8 * camera.distance:
@@ -131,8 +137,11 @@ def partial_view(
     seen = _hide_one_side(pixels.seen, camera, rng) if occluded else pixels.seen
     seen = _without_specks(seen)
     rows = np.flatnonzero(seen)
-    if rows.size < 3:
-        raise ValueError(f"object: nothing of {item.name!r} is seen from {np.round(direction, 3).tolist()}")
+    if rows.size < _FEWEST:
+        raise UnseenError(
+            f"view: expected one that shows at least {_FEWEST} pixels of {item.name!r}, got {rows.size} from "
+            f"{np.round(direction, 3).tolist()}"
+        )
     distinct = min(count, rows.size)
     chosen = rng.choice(rows, distinct, replace=False)
     if distinct < count:
