@@ -9,7 +9,7 @@ from dock_worlds import AT_NOMINAL, ATTACH, FREE, make, world
 
 from aerograsp_env.sim.airframe import AIRFRAMES, GRAVITY
 from aerograsp_env.sim.config import CONTROL_STEP, DockConfig
-from aerograsp_env.sim.kernel import _delayed_command
+from aerograsp_env.sim.kernel import delayed_command
 from aerograsp_env.sim.kernel_control import thrust_vector
 from aerograsp_env.sim.layout import SUBSTEPS
 from aerograsp_env.sim.scene import TIMESTEP
@@ -105,7 +105,7 @@ def test_each_tick_uses_the_newest_command_that_is_old_enough(delay):
             given = [
                 k for k in range(step + 1) if k * SUBSTEPS + p.delay_ticks <= now
             ]  # command k is given as step k begins
-            assert _delayed_command(p, s, tick) == (step - given[-1] if given else -1)
+            assert delayed_command(p, s, tick) == (step - given[-1] if given else -1)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.05, 0.06, 0.1])

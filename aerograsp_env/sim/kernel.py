@@ -20,7 +20,7 @@ from aerograsp_env.sim.scene import TIMESTEP
 
 
 @compiled
-def _delayed_command(p, s, tick):
+def delayed_command(p, s, tick):
     """Which remembered action reaches the autopilot at this tick: −1 where none was given yet."""
     age = tick - p.delay_ticks  # of the newest action this tick may use, relative to this control step's start
     back = 0 if age >= 0 else (-age + lay.SUBSTEPS - 1) // lay.SUBSTEPS
@@ -28,7 +28,7 @@ def _delayed_command(p, s, tick):
 
 
 @compiled
-def _estimated_attitude(s, xmat, r):
+def estimated_attitude(s, xmat, r):
     """r = (I + [δ]×) R: the true attitude turned by the small error δ (world frame)."""
     d = s.attitude_error
     for j in range(3):
@@ -39,7 +39,7 @@ def _estimated_attitude(s, xmat, r):
 
 
 @compiled
-def _stops(p, s, qpos, qvel, qfrc):
+def stops(p, s, qpos, qvel, qfrc):
     """Torques of the printed stops at the mechanical limits, and of the servo that locks θ0 in flight.
 
     A stop bent too far breaks. Limits count for a coupled tool, and once every joint has been within its signal range.
@@ -88,11 +88,11 @@ def _physics(step_function, pointers, p, s, noise):
         truth[0, 0], truth[0, 1], truth[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
         truth[1, 0], truth[1, 1], truth[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
         truth[2, 0], truth[2, 1], truth[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
-        _estimated_attitude(s, truth.ravel(), r)
+        estimated_attitude(s, truth.ravel(), r)
         for i in range(3):
             s.gyro[i] = qvel[3 + i] + s.gyro_bias[i] + p.gyro_std * gyro_noise[3 * tick + i]
             s.velocity_estimate[i] = qvel[i] + s.velocity_error[i]
-        back = _delayed_command(p, s, tick)
+        back = delayed_command(p, s, tick)
         yaw_rate = 0.0
         set_point[:] = 0.0
         if back >= 0:
@@ -105,7 +105,7 @@ def _physics(step_function, pointers, p, s, noise):
             set_point[0], set_point[1] = math.cos(h) * a - math.sin(h) * b, math.sin(h) * a + math.cos(h) * b
         autopilot(p, s, r, set_point, yaw_rate, thrusts)
         rotors(p, s, truth, qpos, qvel, thrusts, ctrl, xfrc)
-        _stops(p, s, qpos, qvel, qfrc)
+        stops(p, s, qpos, qvel, qfrc)
         call_with_two_pointers(step_function, model, data)
         samples = sample_joints(p, s, qpos, qvel, tick, joint_noise, samples)
         if s.coupled == 1:
@@ -160,7 +160,7 @@ def _read(pointers, p, s, noise, bounds, out, specific_force, seat_offset, r, xm
     """Sensor readings at the end of a control step and the observation row."""
     qpos = carray(as_pointer(pointers[lay.P_QPOS]), (13,), np.float64)
     qacc = carray(as_pointer(pointers[lay.P_QACC]), (12,), np.float64)
-    _estimated_attitude(s, xmat[p.airframe_body], r)
+    estimated_attitude(s, xmat[p.airframe_body], r)
     read_base(p, s, xmat[p.base_body].copy().reshape(3, 3), noise)
     read_position(p, s, r, qpos, noise)
     read_imu(p, s, r, qacc, noise, specific_force)

@@ -90,7 +90,7 @@ def mix(p, wrench, thrusts):
 
 
 @compiled
-def _wanted_torque(p, s, i, rate):
+def wanted_torque(p, s, i, rate):
     """Rate loop of body axis i."""
     error = rate - s.gyro[i]
     slope = (s.gyro[i] - s.last_rate[i]) / TIMESTEP
@@ -110,9 +110,9 @@ def autopilot(p, s, r, velocity_set_point, yaw_rate, thrusts):
     force = thrust_vector(p, s, velocity_set_point)
     rates = attitude_rates(p, s, r, force, yaw_rate)
     collective = max(force[0] * r[0, 2] + force[1] * r[1, 2] + force[2] * r[2, 2], 0.0)
-    roll = _wanted_torque(p, s, 0, rates[0])
-    pitch = _wanted_torque(p, s, 1, rates[1])
-    yaw = _wanted_torque(p, s, 2, rates[2])
+    roll = wanted_torque(p, s, 0, rates[0])
+    pitch = wanted_torque(p, s, 1, rates[1])
+    yaw = wanted_torque(p, s, 2, rates[2])
     mix(p, (collective, roll, pitch, yaw), thrusts)
 
 

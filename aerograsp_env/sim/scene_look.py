@@ -86,7 +86,7 @@ def camera_look() -> str:
     return "\n    ".join(lines)
 
 
-def airframe_look(airframe: AirframeConfig) -> str:
+def airframe_look(airframe: AirframeConfig, arms: bool = True, legs: bool = True) -> str:
     """Canopy, booms, motors, propellers, legs; and the arms, where the airframe has them (tool held aside)."""
     length = airframe.arm_length
     scale = length / 0.42
@@ -112,13 +112,13 @@ def airframe_look(airframe: AirframeConfig) -> str:
                 f'euler="0 0 {turn:.4g}" material="{"clamp" if front else "dark"}" class="look"/>'
             )
     drop = 0.75 * length
-    for side in (-1.0, 1.0):
+    for side in (-1.0, 1.0) if legs else ():
         y = 0.45 * length * side
         for x in (-0.25 * length, 0.25 * length):
             lines.append(_capsule((0.6 * x, 0.4 * y, -0.03), (x, y, -drop), 0.010 * scale, "carbon"))
         for x in (-0.5 * length, 0.5 * length):  # rubber feet
             lines.append(_capsule((0.86 * x, y, -drop), (x, y, -drop), 0.017 * scale, "dark"))
-    if airframe.tip_position[1] != 0.0:
+    if arms and airframe.tip_position[1] != 0.0:
         lines += _arms(airframe.tip_position)
     return "\n".join(lines)
 
