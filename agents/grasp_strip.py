@@ -20,7 +20,7 @@ from agents.pictures import png
 from baselines.grasping.planning import propose
 
 OBJECT, SEED = "bottle", 1
-SIZE, CUT = (640, 480), (slice(40, 360), slice(160, 520))  # of the renderings [px], and what is shown of them
+SIZE, CUT = (640, 480), (slice(30, 350), slice(130, 490))  # of the renderings [px], and what is shown of them
 CELLS = 26  # of the surface, along what was seen
 GRIPPER_COLOR = (0.30, 0.34, 0.40)
 

@@ -18,7 +18,10 @@ from aerograsp_env.envs.grasp_options import draw_orientation, draw_view
 from aerograsp_env.envs.grasp_plan import GraspPlanEnv, decode_action, encode_grasp, unpack_cloud
 from aerograsp_env.envs.grasp_start import VIEWS
 from aerograsp_env.interfaces import Grasp
+from aerograsp_env.sim.cameras import camera_view
 from aerograsp_env.sim.depth_view import DepthCameraConfig, UnseenError, look_at, middle_and_radius, partial_view
+from aerograsp_env.sim.grasp_judge import record_grasp
+from aerograsp_env.sim.grasp_view import GraspView
 from aerograsp_env.sim.gripper import GripperConfig
 from aerograsp_env.sim.objects import test_objects as named_objects
 from aerograsp_env.spatial import inverse, transform_points
@@ -434,6 +437,26 @@ def test_a_film_shows_the_last_judgement():
     with pytest.raises(ValueError, match="fps"):
         env.film(0.0)
     env.close()
+
+
+@pytest.mark.parametrize("camera", ["side", "front", "view"])
+def test_what_is_lifted_stays_in_the_picture(camera):
+    tall, gripper = cylinder(0.02, 0.40), GripperConfig()
+    seen = partial_view(tall, np.eye(3), X, 64, PERFECT, np.random.default_rng(0))
+    held = record_grasp(tall, Grasp(seen.T_cloud_object[:3, 3], X, -Z, 0.08), seen.T_cloud_object, gripper)
+    upright = record_grasp(
+        tall, Grasp(seen.T_cloud_object[:3, 3], np.array([0, 1.0, 0]), -X, 0.08), seen.T_cloud_object
+    )
+    assert upright.judgement.held and not held.judgement.held  # from above the palm cuts into it
+    for recording, (width, height) in ((held, (96, 72)), (upright, (96, 72)), (upright, (60, 90))):
+        view = GraspView(tall, gripper, seen, width, height, camera)
+        placed = camera_view(None, None, view.framing(recording), width, height)
+        for k in range(0, len(recording.times), 7):
+            local = (transform_points(recording.T_object[k], tall.vertices) - placed.position) @ placed.R_w_c
+            column = placed.cx - placed.fx * local[:, 0] / local[:, 2]
+            row = placed.cy + placed.fy * local[:, 1] / local[:, 2]
+            assert column.min() > 0.0 and column.max() < width and row.min() > 0.0 and row.max() < height
+        view.close()
 
 
 def test_the_closing_axis_has_no_sign():

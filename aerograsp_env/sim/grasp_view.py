@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.sim.cameras import FreeCamera, camera_view
-from aerograsp_env.sim.depth_view import PartialView, middle_and_radius
+from aerograsp_env.sim.depth_view import PartialView, look_at, middle_and_radius
 from aerograsp_env.sim.grasp_judge import Recording
 from aerograsp_env.sim.gripper import GripperConfig
 from aerograsp_env.sim.objects import GraspObject
@@ -26,8 +26,10 @@ CAMERAS: dict[str, tuple[float, float, float]] = {  # azimuth from the depth cam
 }
 _FOVY = math.radians(36.0)
 _FLOOR = 0.40  # [m] below the object
-_LIFT_IN_PICTURE = 0.06  # [m] above the object's middle that the camera looks at, once there is a gripper
+_BORDER = 1.06  # of a picture around all that moves in it
+_LOOKS = 30  # moments of a judgement at which it is seen to that all is in the picture
 _POINT_COLOR = np.array([20, 200, 230], dtype=np.uint8)
+_CORNERS = np.array([[i, j, k] for i in (-1.0, 1.0) for j in (-1.0, 1.0) for k in (-1.0, 1.0)])
 _HIDDEN = (0.0, 0.0, -100.0)  # where what is not in the picture goes [m]
 
 
@@ -54,6 +56,7 @@ class GraspView:
         samples: int = 1,
     ) -> None:
         self._gripper, self._seen, self._size = gripper, seen, (width, height)
+        self._vertices = item.vertices
         self._model = _look_model(item, gripper, seen, width, height)
         self._data = mujoco.MjData(self._model)
         self._renderer = make_renderer(self._model, width, height, backend, samples)
@@ -69,7 +72,8 @@ class GraspView:
     def before(self, mode: str) -> NDArray[Any]:
         """The object with the points that were seen: (H, W, 3) uint8, or (H, W) float32 depth [m]."""
         self._place(self._seen.T_cloud_object, None, 0.0)
-        camera = self._camera(0.0)
+        distance, azimuth, elevation = self._angles
+        camera = FreeCamera(tuple(self._middle.tolist()), distance, azimuth, elevation, _FOVY)
         if mode == "depth_array":
             return self._renderer.depth(self._data, camera)
         picture = self._renderer.render(self._data, camera)
@@ -77,27 +81,50 @@ class GraspView:
         return picture
 
     def during(self, recording: Recording, index: int, mode: str) -> NDArray[Any]:
-        """A moment of a judgement: (H, W, 3) uint8, or (H, W) float32 depth [m]."""
-        self._place(recording.T_object[index], recording.T_gripper[index], float(recording.width[index]))
-        camera = self._camera(_LIFT_IN_PICTURE)
-        if mode == "depth_array":
-            return self._renderer.depth(self._data, camera)
-        return self._renderer.render(self._data, camera)
+        """A moment of a judgement, from where all of it is seen: (H, W, 3) uint8, or (H, W) float32 depth [m]."""
+        return self._moment(recording, index, mode, self.framing(recording))
 
     def film(self, recording: Recording, fps: float) -> list[NDArray[np.uint8]]:
         """All of a judgement, `fps` pictures (H, W, 3) a second."""
         times = np.arange(recording.times[0], recording.times[-1] + 0.5 / fps, 1.0 / fps)
         rows = np.minimum(np.searchsorted(recording.times, times), len(recording.times) - 1)
-        return [self.during(recording, int(row), "rgb_array") for row in rows]
+        camera = self.framing(recording)
+        return [self._moment(recording, int(row), "rgb_array", camera) for row in rows]
+
+    def framing(self, recording: Recording) -> FreeCamera:
+        """The camera in whose picture object and gripper stay from the approach to the end.
+
+        It looks along the same line as `before`, from no nearer.
+        """
+        nearest, azimuth, elevation = self._angles
+        level = math.cos(elevation)
+        R = look_at(np.array([level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)]))
+        boxes = self._gripper.boxes(self._gripper.max_width)
+        corners = np.concatenate([box.center + _CORNERS * box.half_size for box in boxes])
+        looks = np.linspace(0, len(recording.times) - 1, _LOOKS).astype(np.intp)
+        local = np.concatenate(
+            [
+                (points @ T[:3, :3].T + T[:3, 3]) @ R
+                for points, poses in ((self._vertices, recording.T_object), (corners, recording.T_gripper))
+                for T in poses[looks]
+            ]
+        )
+        middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
+        right, down, ahead = np.abs(local[:, 0] - middle[0]), np.abs(local[:, 1] - middle[1]), local[:, 2] - middle[2]
+        width, height = self._size
+        slope = math.tan(0.5 * _FOVY)
+        needed = _BORDER * np.maximum(right * height / width, down) / slope - ahead
+        return FreeCamera(tuple((R @ middle).tolist()), max(nearest, float(needed.max())), azimuth, elevation, _FOVY)
 
     def close(self) -> None:
         """Free the renderer."""
         self._renderer.close()
 
-    def _camera(self, rise: float) -> FreeCamera:
-        distance, azimuth, elevation = self._angles
-        lookat = self._middle + (0.0, 0.0, rise)
-        return FreeCamera(tuple(lookat.tolist()), distance, azimuth, elevation, _FOVY)
+    def _moment(self, recording: Recording, index: int, mode: str, camera: FreeCamera) -> NDArray[Any]:
+        self._place(recording.T_object[index], recording.T_gripper[index], float(recording.width[index]))
+        if mode == "depth_array":
+            return self._renderer.depth(self._data, camera)
+        return self._renderer.render(self._data, camera)
 
     def _place(self, T_object: Array, T_gripper: Array | None, width: float) -> None:
         data, half = self._data, 0.5 * (self._gripper.max_width - width)
