@@ -13,13 +13,13 @@ axis, z along the approach axis.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aerograsp_env.sim.gripper import GripperConfig
+from aerograsp_env.sim.arms.worm_gripper import WormGripper
 from aerograsp_env.spatial import as_array, check_transform, skew, so3_exp, transform
 
 Array = NDArray[np.float64]
@@ -169,45 +169,6 @@ class Link:
         object.__setattr__(self, "inertia", inertia)
 
 
-@dataclass(frozen=True)
-class WormGripper:
-    """A parallel gripper on a worm drive: the screw moves both fingers alike, and cannot be driven back by them.
-
-    The screw's position w is the travel of each finger from the largest opening [m]. A finger at x hangs on the screw
-    by the give of the printed parts: it presses with stiffness · (w − x).
-
-    Raises:
-        ValueError: a value that is not positive.
-    """
-
-    jaws: GripperConfig
-    jaw_speed: float = 0.03  # of each finger [m/s]; a worm is slow
-    stall_force: float = 25.0  # per finger, at which the motor stops [N]
-    stiffness: float = 12500.0  # of a finger against the screw [N/m]: 2 mm at the stall force
-    damping: float = 80.0  # [N s/m], critical for the finger and its part of the drive
-    finger_mass: float = 0.02  # each [kg]
-    finger_armature: float = 0.10  # inertia of nut and linkage seen at a finger [kg]
-
-    def __post_init__(self) -> None:
-        _positive("WormGripper", **{f.name: getattr(self, f.name) for f in fields(self) if f.name != "jaws"})
-
-    @property
-    def travel(self) -> float:
-        """[m] of each finger, from the largest opening until the pads meet."""
-        return 0.5 * self.jaws.max_width
-
-    def finger_center(self, side: Literal["left", "right"]) -> Array:
-        """(3,) centre of a finger's mass in the tool frame, open [m]: its box's centre, the pad weighs nothing."""
-        boxes = {box.name: box for box in self.jaws.boxes(self.jaws.max_width)}
-        return np.array(boxes[f"{side}_finger"].center)
-
-    def finger_inertia(self) -> Array:
-        """(3, 3) of one finger about its centre [kg m²]."""
-        box = next(b for b in self.jaws.boxes(self.jaws.max_width) if b.name == "left_finger")
-        x, y, z = (s * s for s in box.half_size)
-        return np.asarray(self.finger_mass / 3.0 * np.diag([y + z, x + z, x + y]))
-
-
 @dataclass(frozen=True, eq=False)
 class ArmConfig:
     """A serial arm with a worm gripper at its end. Links weigh what they do without the fingers.
@@ -278,13 +239,11 @@ class ArmConfig:
             raise ValueError(f"width: expected an opening in [0, {gripper.jaws.max_width}] m, got {width}")
         closed, R = 0.5 * (gripper.jaws.max_width - width), self.T_last_tool[:3, :3]
         parts = [(last.mass, last.center_of_mass, last.inertia)]
-        for side, sign in (("left", 1.0), ("right", -1.0)):
-            center = gripper.finger_center(side) + [sign * closed, 0.0, 0.0]  # type: ignore[arg-type]
-            parts.append(
-                (gripper.finger_mass, R @ center + self.T_last_tool[:3, 3], R @ gripper.finger_inertia() @ R.T)
-            )
-        mass, center, inertia = combined(parts)
-        return (*self.links[:-1], Link(last.name, mass, center, inertia, last.shapes))
+        inertia = R @ gripper.finger_inertia() @ R.T
+        for finger in gripper.fingers():
+            center = R @ (finger.center + [finger.closing * closed, 0.0, 0.0]) + self.T_last_tool[:3, 3]
+            parts.append((gripper.finger_mass, center, inertia))
+        return (*self.links[:-1], Link(last.name, *combined(parts), last.shapes))
 
     def mass_properties(self, q: ArrayLike) -> tuple[float, Array, Array]:
         """Mass [kg], centre of mass (3,) [m] and inertia about it (3, 3) [kg m²] of the whole arm, base frame."""

@@ -3,7 +3,8 @@
 Offsets, axes and limits are those of the project's OpenRAVE files `arm_4dof.kinbody.xml`,
 `arm_gripper_5dof.kinbody.xml` and `arm_gripper_6dof.kinbody.xml`; successive `<rotationaxis>` multiply from the left,
 and the base is the body `arm_0_attachment`. At zero every arm is stretched along the base's z axis, and the tool frame
-is parallel to the frame of joint 3. A negative angle of joint 1 leans the arm to the base's +x, a positive angle of joint 2 bends it back.
+is parallel to the frame of joint 3. A negative angle of joint 1 leans the arm to the base's +x, a positive angle of
+joint 2 bends it back.
 
 The three grippers (section 5.3) add 0, 1 and 2 wrist axes between the forearm's roll (joint 3) and the jaws. The
 four-joint arm's tool lies where `gripper_serial_strong_0dof.kinbody.xml` puts it, 0.235 m from joint 3 on its axis. The
