@@ -1,0 +1,108 @@
+"""Inverse kinematics: one door to the damped search and to the closed forms of the arms that have one."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aerograsp_env.spatial import as_array, check_transform
+from baselines.kinematics import dls
+from baselines.kinematics.arm import Arm
+from baselines.kinematics.chain import POSE, POSITION, POSITION_ROLL, task_kernel
+
+Array = NDArray[np.float64]
+Method = Literal["dls", "analytic", "global"]
+Task = Literal["pose", "position", "position+roll"]
+
+TASKS = {"pose": POSE, "position": POSITION, "position+roll": POSITION_ROLL}
+METHODS = ("dls", "analytic", "global")
+
+
+class IKResult(NamedTuple):
+    """What `solve_ik` found: where it did not converge, the nearest configuration that it found, and its errors."""
+
+    q: Array  # (n,) [rad], within the limits
+    converged: bool  # the task is met within both tolerances
+    iterations: int  # of the damped search, 0 for a closed form
+    position_error: float  # [m]
+    orientation_error: float  # of what the task asks: the whole rotation, the roll, or 0 for a position [rad]
+    reason: str  # empty if converged, else why not
+    jump: float = math.nan  # the largest joint angle between q and q0 [rad]; NaN without q0
+    branches: int = 0  # how many configurations within the limits a closed form found
+
+
+def solve_ik(
+    arm: Arm,
+    T_target: ArrayLike,
+    q0: ArrayLike | None = None,
+    method: Method = "dls",
+    task: Task = "pose",
+    position_tolerance: float = 1e-4,
+    orientation_tolerance: float = 1e-3,
+) -> IKResult:
+    """Joint angles within the limits that bring the tool to a pose, or the nearest ones and why they do not.
+
+    Tasks: "pose" is the whole pose; "position" the tool's origin alone; "position+roll" the position and the rotation
+    about the approach axis (the tool's z): what remains of the target's rotation after the smallest rotation that
+    aligns the approach axes, which is what an arm of four joints can choose (thesis section 5.2).
+
+    Methods: "dls" descends from q0, then from deterministic samples of the joint ranges (`dls.search`), for any arm and
+    task. "analytic" is the closed form of arms of four joints, for any task; "global" that of arms of six joints with
+    a spherical wrist, for poses: both weigh every branch within the limits and take the one nearest to q0 (`jump` says
+    how near). Where no branch fits, the damped search finds the nearest configuration.
+
+    Args:
+        arm: the arm.
+        T_target: the tool's pose (4, 4), in the frame of `arm.forward`.
+        q0: (n,) [rad] where the arm is; the middle of the ranges by default. Beyond the limits it is brought to them.
+        method: see above.
+        task: see above.
+        position_tolerance: [m].
+        orientation_tolerance: [rad].
+
+    Raises:
+        ValueError: a target that is not a rigid transform (a reflection, NaN, …), q0 of another shape or not finite, an
+            unknown method or task, a tolerance that is not positive, or a closed form for an arm or task without one.
+    """
+    target = check_transform(T_target, "T_target")
+    if target.shape != (4, 4):
+        raise ValueError(f"T_target: expected shape (4, 4), got {target.shape}")
+    if task not in TASKS:
+        raise ValueError(f"task: expected one of {', '.join(TASKS)}, got {task!r}")
+    if method not in METHODS:
+        raise ValueError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+    for name, value in (("position_tolerance", position_tolerance), ("orientation_tolerance", orientation_tolerance)):
+        if not 0.0 < value < math.inf:
+            raise ValueError(f"{name}: expected a positive number, got {value}")
+    start = arm.limits.mean(axis=1)
+    given: Array | None = None
+    if q0 is not None:
+        given = as_array(q0, (arm.n,), "q0")
+        if given.shape != (arm.n,):
+            raise ValueError(f"q0: expected shape ({arm.n},), got {given.shape}")
+        start = np.clip(given, arm.limits[:, 0], arm.limits[:, 1])
+    tolerances = position_tolerance, orientation_tolerance
+
+    found = dls.search(arm, target, start, TASKS[task], *tolerances)
+    position, orientation = _errors(arm, found.q, target, TASKS[task])
+    jump = math.nan if given is None else float(np.max(np.abs(found.q - given)))
+    reason = "" if found.converged else _reason(found.searches, position, orientation, tolerances)
+    return IKResult(found.q, found.converged, found.iterations, position, orientation, reason, jump)
+
+
+def _errors(arm: Arm, q: Array, target: Array, task: int) -> tuple[float, float]:
+    """Position [m] and orientation error [rad] of a task, measured afresh at q."""
+    error, jacobian = np.empty(6), np.empty((6, 1))
+    rows = task_kernel(task, arm.forward(q), target, jacobian, error)
+    position, orientation = dls.error_sizes(error, rows)
+    return float(position), float(orientation)
+
+
+def _reason(starts: int, position: float, orientation: float, tolerances: tuple[float, float]) -> str:
+    return (
+        f"no configuration within the limits meets the target (from {starts} starts): the nearest is off by "
+        f"{position:.3g} m and {orientation:.3g} rad, tolerances {tolerances[0]:g} m and {tolerances[1]:g} rad"
+    )
