@@ -203,7 +203,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--robustness",
         action="store_true",
-        help="delays, masses, winds and vehicles that no policy was made for, 40 episodes each, instead",
+        help="conditions that no policy was made for (delays, winds, noise, masses, friction) instead",
     )
     add_policy(parser, default="every analytic and shipped policy, zero and random")
     add_episodes(parser, None)
@@ -213,8 +213,6 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--fresh", action="store_true", help="measure rows again that the folder holds already")
     add_json(parser)
     args = parser.parse_args(argv)
-    if args.quick and args.robustness:
-        parser.error("--quick and --robustness do not go together")
     if args.id and args.env and args.id != args.env:
         parser.error(f"the environment is given twice, as {args.id} and as {args.env}")
     command = " ".join(["aerograsp", "bench", *argv])
@@ -223,7 +221,7 @@ def main(argv: list[str]) -> int:
     if args.robustness:
         from agents.robustness import robustness
 
-        result = robustness(*shared, fresh=args.fresh, command=command)
+        result = robustness(*shared, quick=args.quick, fresh=args.fresh, command=command)
     else:
         result = bench(*shared, quick=args.quick, fresh=args.fresh, command=command)
     if args.json != "-":

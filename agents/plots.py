@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from agents.scoring import Column
 from agents.table import Estimate, Published, Row
 
 if TYPE_CHECKING:
@@ -106,8 +107,8 @@ def error_over_time(traces: Sequence["Trace"], dark: bool) -> bytes:
     return png_bytes(figure)
 
 
-def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool) -> bytes:
-    """Mean |error| with its interval, a group a condition and a colour a policy; hollow where over 1 % crashed."""
+def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool, column: Column, log: bool = True) -> bytes:
+    """A column with its intervals, a group a condition and a colour a policy; hollow where over 1 % crashed."""
     policies = [row.policy for row in next(iter(groups.values()))]
     palette, step = colors(policies), 0.78 / max(len(policies), 1)
     figure, axis = new_figure(dark, len(groups) * (0.16 * len(policies) + 0.24) + 1.0)
@@ -115,10 +116,13 @@ def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool) -> bytes:
         if group % 2:
             axis.axhspan(group - 0.5, group + 0.5, color=ink(dark), alpha=0.05, lw=0)
         for i, row in enumerate(rows):
-            estimate, crash = row.estimate("error"), row.estimate("crash")
+            estimate, crash = row.estimate(column), row.estimate("crash")
             if estimate is None:
                 continue
-            mean, (low, high) = 1e3 * estimate.value, (1e3 * bound for bound in estimate.interval)
+            mean, (low, high) = (
+                column.scale * estimate.value,
+                (column.scale * bound for bound in estimate.interval),
+            )
             color = palette[row.policy]
             face = "none" if crash is not None and crash.value > 0.01 else color
             axis.errorbar(
@@ -127,8 +131,9 @@ def grouped_intervals(groups: Mapping[str, Sequence[Row]], dark: bool) -> bytes:
             )  # fmt: skip
     axis.set_yticks(range(len(groups)), list(groups))
     axis.set_ylim(len(groups) - 0.5, -0.5)
-    _log_axis(axis, "x")
-    axis.set_xlabel("mean |error| [mm]")
+    if log:
+        _log_axis(axis, "x")
+    axis.set_xlabel(column.head)
     grid_lines(axis, "x", dark)
     handles = [axis.plot([], [], "o", color=palette[policy], label=policy)[0] for policy in policies]
     figure.legend(handles=handles, ncols=len(handles), loc="upper right", frameon=False, labelcolor=ink(dark))

@@ -67,16 +67,18 @@ class Scoring:
     paired_with_analytic: bool = False  # with the best analytic row, not with the best of all
     lead: str = ""  # {policy}, {value}, {low}, {high}, {episodes}
     intervals: str = "Means over episodes, with 95 % bootstrap intervals in brackets."
+    by_condition: str = ""  # what a table of policies by conditions shows
+    shaded: str = ""  # what is best in it
     undefined: str = "(n): over the n episodes that lasted long enough to define it."
 
-    def best(self, rows: Iterable["Row"]) -> "Row | None":
-        """The best of rows by the mean of the primary value; None if there is none.
+    def best(self, rows: Iterable["Row"], column: Column | None = None) -> "Row | None":
+        """The best of rows by the mean of a column's value, the primary one's by default; None if there is none.
 
         Oracles, rows with an episode that does not define the value, and rows beyond `tolerated` are left out.
         """
         if self.primary is None:
             return None
-        name, sign = self.primary.name, 1.0 if self.lower_is_better else -1.0
+        name, sign = (column or self.primary).name, 1.0 if self.lower_is_better else -1.0
         fit = [row for row in rows if not row.oracle and name in row.values and np.isfinite(row.values[name]).all()]
         for value, most in self.tolerated.items():
             fit = [row for row in fit if np.mean(row.values.get(value, np.zeros(1))) <= most]
@@ -108,6 +110,9 @@ HOLDING = Scoring(
     unit="mm",
     tolerated={"crash": 0.01},  # a crashed episode has its error over the time before only, which flatters it
     paired=(_ERROR,),
+    by_condition="Mean |error| per axis over episodes [mm], 95 % bootstrap intervals in brackets; crash rates where "
+    "any.",
+    shaded="Shaded: the lowest error with at most 1 % of crashes.",
     lead="The lowest error without crashes is {policy}’s: {value} mean |error| per axis, 95 % interval {low} to {high} "
     "mm over {episodes} pinned episodes.",
 )
@@ -136,6 +141,9 @@ GRASPING = Scoring(
     },
     paired=(_HELD, _STRICT),
     paired_with_analytic=True,
+    by_condition="Shares of the episodes, 95 % Wilson intervals in brackets; of rows over several trainings bootstrap "
+    "intervals. Strict: held, with less than 20 mm of slip and 20° of turn.",
+    shaded="Shaded: the largest share, oracles aside.",
     lead="{policy} holds the most objects from one view: {value}, 95 % interval {low} to {high} % over {episodes} "
     "pinned views.",
     intervals="Shares of the episodes, with 95 % Wilson intervals in brackets; slip and turn: medians over the held "

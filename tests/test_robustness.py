@@ -1,6 +1,7 @@
 """Policies by conditions, and the film of the ordinary comparison."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,9 @@ import toy_env
 from toy_env import TOY
 
 from agents import benchmark, cli, robustness
+from agents.bench_setup import GRASP_PLAN
 from agents.policies import spaces
+from agents.scoring import GRASPING
 from agents.table import Row
 from baselines.policies import POLICIES
 
@@ -68,6 +71,44 @@ def test_crash_rates_stand_where_there_are_any() -> None:
     assert table.count('<td class="best">') == 2  # p under a, and q, which does not crash, under b
 
 
+def test_grasps_have_a_table_of_what_is_held_and_one_of_what_is_held_strictly() -> None:
+    def row(policy: str, held: list[float], strict: list[float], oracle: bool = False) -> Row:
+        return Row(policy, {"held": np.array(held), "strict": np.array(strict)}, oracle=oracle)
+
+    rows = {
+        "a": [row("p", [1, 1], [0, 0]), row("q", [1, 0], [1, 0]), row("o", [1, 1], [1, 1], True)],
+        "b": [row("p", [0, 0], [0, 0]), row("q", [1, 1], [1, 1]), row("o", [1, 1], [1, 1], True)],
+    }
+    held, strict = (robustness.cells(rows, column) for column in GRASPING.paired)
+    assert held[0] == ["policy, held [%]", "a", "b"] and strict[0] == ["policy, strict [%]", "a", "b"]
+    assert [line[0] for line in held[1:]] == ["p", "q", "o (oracle)"]
+    assert [line[1].split()[0] for line in held[1:]] == ["100.0", "50.0", "100.0"]
+    assert [line[1].split()[0] for line in strict[1:]] == ["0.0", "50.0", "100.0"]
+    parts = robustness.section(rows, {"a": {}, "b": {"x": 1}})
+    tables = [part for part in parts if "<table" in part]
+    best = [re.findall(r'<tr>(?:(?!</tr>).)*class="best"', table, re.DOTALL) for table in tables]
+    assert [["p" in line.split("</t")[0] for line in table] for table in best] == [[True, False], [False]]
+    assert "Strict: held" in parts[-1] and "oracles aside" in parts[-1]
+
+
+def test_grasps_are_tried_under_every_condition(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robustness, "CHANGES", SHIPPED)
+    options: dict[str, Any] = {"env_kwargs": {"objects": "apple", "points": 128}, "progress": False}
+    measured = robustness.robustness(GRASP_PLAN, ["com", "zero"], 1, out_dir=tmp_path, quick=True, **options)
+    assert list(measured.rows) == list(SHIPPED[GRASP_PLAN])
+    assert measured.table.count("policy, ") == 2 and "sigma_quadratic" in measured.table
+    for of in measured.rows.values():
+        assert [row.policy for row in of] == ["com", "zero"]
+        np.testing.assert_array_equal(of[1].values["no grasp"], 1.0)
+    shown = measured.report.read_text()
+    assert shown.count("<table") >= 2 and "Hollow" not in shown
+
+
+def test_quick_rows_are_few() -> None:
+    assert robustness.default_rows(GRASP_PLAN, quick=True) == ["com", "cloud", "gpis", "oracle-mesh"]
+    assert set(robustness.default_rows(GRASP_PLAN)) > {"com", "cloud", "gpis", "oracle-mesh", "gpis-constant"}
+
+
 def test_training_seeds_become_one_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds = {f"ppo-seed{k}": tmp_path / f"{k}" for k in range(3)}
     monkeypatch.setattr(robustness, "checkpoints", lambda env_id: {**seeds, "ppo": tmp_path})
@@ -92,7 +133,6 @@ def test_every_shipped_condition_is_one_that_its_environment_takes() -> None:
         ([f"{TOY}Single"], "unknown id"),
         ([TOY, "--policy", "pp"], "did you mean 'p'"),
         ([TOY, "--episodes", "0"], "at least 1"),
-        ([TOY, "--quick"], "--robustness"),
         ([TOY, "--env-kwarg", "nois=1"], "noise"),
     ],
 )
