@@ -109,7 +109,7 @@ def arm_mjcf(
     links: Contact = ARM_CONTACT,
     fingers: Contact | None = None,
     friction: float | None = None,
-    more: str = 'material="printed"',
+    more: str = "",
 ) -> ArmXml:
     """MJCF of `arm`, mounted at T_body_base (4, 4).
 
@@ -119,7 +119,7 @@ def arm_mjcf(
         fingers: the same for fingers and pads; as the links if None.
         friction: Coulomb coefficient of pads and fingers with whatever they touch (their priority is 1); the jaws' own
             if None. `grasp_scene.contact_friction` gives that of an object.
-        more: further attributes of the links' geoms.
+        more: further attributes of the links' geoms, such as a material of the scene.
 
     Raises:
         ValueError: a T_body_base that is not rigid, or a friction that is not positive.
@@ -160,7 +160,8 @@ def arm_mjcf(
     return ArmXml(
         body=body,
         actuators="\n".join(actuators),
-        excludes=f'<exclude body1="{moved[0]}" body2="{moved[1]}"/>',
+        excludes=f'<exclude body1="{moved[0]}" body2="{moved[1]}"/>'
+        f'<exclude body1="{prefix}{arm.base.name}" body2="{prefix}{arm.links[0].name}"/>',
         joints=(*(prefix + joint.name for joint in arm.joints), *moved),
         links=tuple(prefix + link.name for link in (arm.base, *arm.links)),
         fingers=(moved[0], moved[1]),
