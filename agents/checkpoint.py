@@ -50,7 +50,8 @@ class NetworkLayout:
 
     The input is the concatenation of the observation's `keys` in this order, normalised as
     clip((x − mean) / √(var + epsilon), ±clip); then dense layers `hidden` with `activation`; a linear one to `actions`.
-    A residual policy's last key is "base_action".
+    A residual policy's last key is "base_action". A squashed actor's mean action is the tanh of that output, and its
+    deviation, before the tanh, depends on the state: a linear layer on the last hidden one gives its logarithm.
     """
 
     keys: tuple[str, ...]
@@ -60,6 +61,7 @@ class NetworkLayout:
     activation: str = "tanh"
     clip: float = 10.0
     epsilon: float = 1e-8
+    squash: bool = False  # cards without it are of networks that do not squash
 
     @classmethod
     def from_card(cls, card: Mapping[str, Any]) -> NetworkLayout:
@@ -76,6 +78,7 @@ class NetworkLayout:
                 activation=str(network["activation"]),
                 clip=float(network["clip"]),
                 epsilon=float(network["epsilon"]),
+                squash=network.get("squash", False),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise ValueError(f'the card\'s "network" is not a network layout ({error!r})') from None
@@ -83,6 +86,8 @@ class NetworkLayout:
             raise ValueError('the card\'s network "keys" and "sizes" must be of one length, at least 1')
         if min(layout.sizes + layout.hidden + (layout.actions,)) < 1 or not layout.clip > 0 or not layout.epsilon >= 0:
             raise ValueError("the card's network sizes and clip must be positive")
+        if not isinstance(layout.squash, bool):
+            raise ValueError(f"the card's network squash must be true or false, got {layout.squash!r}")
         if layout.activation not in ACTIVATIONS:
             raise ValueError(f"the card's network activation {layout.activation!r} is none of {', '.join(ACTIVATIONS)}")
         return layout
@@ -100,8 +105,9 @@ class NetworkLayout:
         for k in range(self.layers):
             shapes[f"actor.{k}.weight"] = (widths[k + 1], widths[k])
             shapes[f"actor.{k}.bias"] = (widths[k + 1],)
-        shapes["log_std"] = (self.actions,)
-        return shapes
+        if self.squash:
+            return shapes | {"log_std.weight": (self.actions, widths[-2]), "log_std.bias": (self.actions,)}
+        return shapes | {"log_std": (self.actions,)}
 
 
 def save_checkpoint(path: str | Path, tensors: Mapping[str, Any], card: Mapping[str, Any]) -> Path:

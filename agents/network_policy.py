@@ -2,7 +2,8 @@
 
 The actor is the multi-layer perceptron that `agents.train` writes. Alone, its output is the action; a residual policy
 adds it to an analytic base policy's (Johannink et al. 2019, "Residual Reinforcement Learning for Robot Control"; Silver
-et al. 2018, "Residual Policy Learning"): action = clip(base + scale · clip(net, −1, 1), −1, 1).
+et al. 2018, "Residual Policy Learning"): action = clip(base + scale · clip(net, −1, 1), −1, 1). The output of a
+soft actor-critic is squashed by tanh instead of clipped (Haarnoja et al. 2018).
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from numpy.typing import DTypeLike, NDArray
 from aerograsp_env.wrappers import BASE_ACTION
 from agents.checkpoint import NetworkLayout, load_checkpoint
 from agents.policies import UnknownName, load_policy, registered_policies
+
+LOG_STD_BOUNDS = (-20.0, 2.0)  # of a squashed actor, Stable-Baselines3's
 
 
 class NetworkPolicy:
@@ -61,7 +64,8 @@ class NetworkPolicy:
         self._biases = [self._cast(tensors[f"actor.{k}.bias"]) for k in range(layout.layers)]
         self._mean = self._cast(tensors["observation.mean"])
         self._inverse_std = self._cast(1.0 / np.sqrt(tensors["observation.var"].astype(np.float64) + layout.epsilon))
-        self._std = np.exp(self._cast(tensors["log_std"]))
+        names = ("log_std.weight", "log_std.bias") if layout.squash else ("log_std",)
+        self._log_std = [self._cast(tensors[name]) for name in names]
         self._rng = np.random.default_rng(seed)
 
     def predict(
@@ -99,11 +103,18 @@ class NetworkPolicy:
             x = np.tanh(x) if self.layout.activation == "tanh" else np.maximum(x, 0.0)
         action = x @ self._weights[-1] + self._biases[-1]
         if not deterministic:
-            action = action + self._std * self._rng.standard_normal(action.shape).astype(self.dtype)
-        action = np.clip(action, -1.0, 1.0)
+            action = action + self._std(x) * self._rng.standard_normal(action.shape).astype(self.dtype)
+        action = np.tanh(action) if self.layout.squash else np.clip(action, -1.0, 1.0)
         if base_action is not None:
             action = np.clip(base_action + self.scale * action, -1.0, 1.0)
         return action.astype(np.float32), state
+
+    def _std(self, features: NDArray) -> NDArray:
+        """The deviation of an action, before the squashing if there is one."""
+        if not self.layout.squash:
+            return np.exp(self._log_std[0])
+        weight, bias = self._log_std
+        return np.exp(np.clip(features @ weight.T + bias, *LOG_STD_BOUNDS))
 
     def _part(self, observation: Mapping[str, NDArray], key: str, size: int) -> NDArray:
         if key not in observation:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 NAMESPACE = "aerograsp/"
 CHECKPOINTS = Path(__file__).parent / "checkpoints"
 TRIVIAL = ("zero", "random")
-LEARNED = ("ppo", "ppo-residual", "learned")
+LEARNED = ("ppo", "ppo-residual", "sac", "sac-her", "sac-residual", "learned")
 
 
 class UnknownName(ValueError):
@@ -92,7 +92,7 @@ def checkpoints(env_id: str) -> dict[str, Path]:
     """Shipped checkpoints by name: every training seed ("ppo-seed0"), and "ppo" for the best of its seeds.
 
     The best has the lowest "validation_error" [m] in its JSON card (measured on validation seeds, never on test
-    seeds); cards without one come last, in order of their names.
+    seeds), or "validation_score" where the task has no error; cards without come last, in order of their names.
     """
     prefix = env_id.removeprefix(NAMESPACE).replace("/", "-").lower() + "-"
     found = {path.stem.removeprefix(prefix): path for path in sorted(CHECKPOINTS.glob(f"{prefix}*.safetensors"))}
@@ -105,10 +105,11 @@ def checkpoints(env_id: str) -> dict[str, Path]:
 
 def _validation_error(path: Path) -> float:
     try:
-        error = json.loads(path.with_suffix(".json").read_text()).get("validation_error")
+        card = json.loads(path.with_suffix(".json").read_text())
     except (OSError, ValueError):
         return float("inf")
-    return float(error) if isinstance(error, int | float) else float("inf")
+    figures = (card.get("validation_error"), card.get("validation_score"))
+    return next((float(figure) for figure in figures if isinstance(figure, int | float)), float("inf"))
 
 
 def load_policy(env_id: str, name_or_path: str | Path, env_kwargs: Mapping[str, Any] | None = None) -> "Policy":

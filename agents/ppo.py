@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
-from agents.checkpoint import CheckpointError, NetworkLayout
-from agents.sb3_env import SB3VecEnv
+from agents.checkpoint import NetworkLayout
+from agents.learner_state import (
+    check_training,
+    generator_tensors,
+    parameter_tensors,
+    restore_generators,
+    restore_parameters,
+)
+from agents.sb3_env import SB3VecEnv, actor_layout
 from agents.train_config import TrainConfig
 
 
@@ -70,21 +77,12 @@ def actor_tensors(model: PPO, env: VecNormalize) -> dict[str, NDArray]:
 
 def training_tensors(model: PPO, env: VecNormalize) -> dict[str, NDArray]:
     """A training's whole state but for the worlds: network, Adam's moments, normalisation, counters, generators."""
-    tensors: dict[str, NDArray] = {}
-    for name, parameter in _parameters(model).items():
-        tensors[name] = parameter.detach().numpy().copy()
-        for key, value in model.policy.optimizer.state.get(parameter, {}).items():
-            tensors[f"optimizer.{key}.{name}"] = value.detach().numpy().copy()
+    tensors = parameter_tensors(_parameters(model), model.policy.optimizer)
     observation: Any = env.obs_rms
     for prefix, rms in (("observation", observation), ("return", env.ret_rms)):
         tensors |= {f"{prefix}.{key}": np.array(getattr(rms, key), np.float64) for key in ("mean", "var", "count")}
-    # Stable-Baselines3 samples actions with torch's global generator and shuffles minibatches with NumPy's.
-    _, key, position, has_gauss, cached = np.random.get_state()  # noqa: NPY002
-    tensors["rng.torch"] = torch.get_rng_state().numpy().copy()
-    tensors["rng.numpy.key"] = np.array(key, dtype=np.uint32)
-    tensors["rng.numpy.rest"] = np.array([position, has_gauss, cached], dtype=np.float64)
-    tensors["counters"] = np.array([model.num_timesteps, model._n_updates], dtype=np.int64)
-    return tensors
+    counters = np.array([model.num_timesteps, model._n_updates], dtype=np.int64)
+    return tensors | generator_tensors() | {"counters": counters}
 
 
 def restore(model: PPO, env: VecNormalize, tensors: Mapping[str, NDArray]) -> None:
@@ -94,49 +92,19 @@ def restore(model: PPO, env: VecNormalize, tensors: Mapping[str, NDArray]) -> No
         CheckpointError: a tensor is missing or of another shape (another network, or a checkpoint for inference only).
     """
     parameters = _parameters(model)
-    shapes = {name: tuple(parameter.shape) for name, parameter in parameters.items()}
-    shapes |= {
-        "rng.numpy.key": (624,),
-        "rng.numpy.rest": (3,),
-        "counters": (2,),
-        "rng.torch": torch.get_rng_state().shape,
-    }
-    shapes |= {f"return.{key}": () for key in ("mean", "var", "count")} | {"observation.count": ()}
-    for name, shape in shapes.items():
-        found = tensors[name].shape if name in tensors else None
-        if found != shape:
-            raise CheckpointError(
-                f"expected a training checkpoint with tensor {name!r} of shape {tuple(shape)}, "
-                + ("it has none" if found is None else f"its shape is {found}")
-            )
-    with torch.no_grad():
-        for name, parameter in parameters.items():
-            parameter.copy_(torch.from_numpy(tensors[name].copy()))
-            moments = ("step", "exp_avg", "exp_avg_sq")
-            if all(f"optimizer.{key}.{name}" in tensors for key in moments):
-                model.policy.optimizer.state[parameter] = {
-                    key: torch.from_numpy(tensors[f"optimizer.{key}.{name}"].copy()) for key in moments
-                }
+    check_training(tensors, parameters)
+    restore_parameters(parameters, model.policy.optimizer, tensors)
     observation: Any = env.obs_rms
     for prefix, rms in (("observation", observation), ("return", env.ret_rms)):
         rms.mean, rms.var = (np.array(tensors[f"{prefix}.{key}"], np.float64) for key in ("mean", "var"))
         rms.count = float(tensors[f"{prefix}.count"])
-    torch.set_rng_state(torch.from_numpy(tensors["rng.torch"].copy()))
-    position, has_gauss, cached = tensors["rng.numpy.rest"]
-    np.random.set_state(("MT19937", tensors["rng.numpy.key"], int(position), int(has_gauss), float(cached)))  # noqa: NPY002
+    restore_generators(tensors)
     model.num_timesteps, model._n_updates = (int(count) for count in tensors["counters"])
 
 
 def layout(config: TrainConfig, env: SB3VecEnv) -> NetworkLayout:
     """The actor's layout in this environment."""
-    return NetworkLayout(
-        keys=env.keys,
-        sizes=tuple(env.sizes[key] for key in env.keys),
-        actions=int(np.prod(env.action_space.shape or ())),
-        hidden=config.hidden,
-        activation=config.activation,
-        clip=config.clip_observation,
-    )
+    return actor_layout(config, env, squash=False)
 
 
 def _parameters(model: PPO) -> dict[str, torch.nn.Parameter]:

@@ -14,18 +14,20 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from aerograsp_env.wrappers import BASE_ACTION, ResidualActionVector
 from agents.arguments import one_line
+from agents.checkpoint import NetworkLayout
 from agents.network_policy import analytic_policy
 from agents.policies import env_spec
-from agents.train_config import TrainConfig
+from agents.train_config import UNREAD, RunConfig
 
 Observation = dict[str, NDArray]
+GOALS = ("achieved_goal", "desired_goal")
 
 
 class SB3VecEnv(VecEnv):
@@ -36,14 +38,15 @@ class SB3VecEnv(VecEnv):
     Args:
         venv: the batched environment; its autoreset mode is SAME_STEP, or one whose `reset` takes
             `options={"reset_mask": (N,) bool}` (Gymnasium's convention), which is then used to reset within the step.
-        keys: observation keys to concatenate, in this order, into one flat float32 vector; None keeps the Dict. A
-            residual's "base_action" is always read, and always last.
+        keys: observation keys to concatenate, in this order, into one flat float32 vector; None keeps the Dict, with
+            all keys. A residual's "base_action" is always read, and always last.
+        flatten: False keeps a Dict of `keys`, in their order.
 
     Raises:
         ValueError: the spaces are not as described, or a key is unknown.
     """
 
-    def __init__(self, venv: VectorEnv, keys: Sequence[str] | None = None) -> None:
+    def __init__(self, venv: VectorEnv, keys: Sequence[str] | None = None, flatten: bool = True) -> None:
         single, action = venv.single_observation_space, venv.single_action_space
         if not isinstance(single, spaces.Dict):
             raise ValueError(f"venv: expected a Dict observation space, got {single}")
@@ -52,8 +55,9 @@ class SB3VecEnv(VecEnv):
         self.venv = venv
         self.keys = _checked_keys(single.spaces if keys is None else keys, single)
         self.sizes = {key: int(np.prod(single[key].shape or ())) for key in self.keys}
-        self._flat = keys is not None
-        observation_space: spaces.Space = single
+        self._flat = keys is not None and flatten
+        # A sequence keeps its order, in which Stable-Baselines3 concatenates the parts; a mapping would be sorted.
+        observation_space: spaces.Space = spaces.Dict([(key, single[key]) for key in self.keys])
         if self._flat:
             low, high = (np.concatenate([getattr(single[key], side) for key in self.keys]) for side in ("low", "high"))
             observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
@@ -117,7 +121,7 @@ class SB3VecEnv(VecEnv):
 
     def _to_learner(self, observation: Any) -> NDArray | Observation:
         if not self._flat:  # copied: the learner keeps this observation while the next step overwrites the buffers
-            return {key: np.array(value, np.float32) for key, value in observation.items()}
+            return {key: np.array(observation[key], np.float32) for key in self.keys}
         return np.concatenate([observation[key] for key in self.keys], axis=1).astype(np.float32, copy=False)
 
     def close(self) -> None:
@@ -132,7 +136,7 @@ class SB3VecEnv(VecEnv):
         setattr(self.venv, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
-        result = getattr(self.venv, method_name)(*args, **kwargs)
+        result = getattr(_owner(self.venv, method_name), method_name)(*args, **kwargs)
         return [result] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
@@ -154,8 +158,36 @@ def _checked_keys(keys: Iterable[str], boxes: spaces.Dict) -> tuple[str, ...]:
     return names
 
 
-def make_learner_env(env_id: str, config: TrainConfig) -> SB3VecEnv:
+def _owner(venv: VectorEnv, name: str) -> Any:
+    """What has the attribute: the batch with its wrappers or without, or else its first world, which is like all."""
+    for owner in (venv, venv.unwrapped):
+        if hasattr(owner, name):
+            return owner
+    return venv.unwrapped.envs[0].unwrapped if isinstance(venv.unwrapped, SyncVectorEnv) else venv.unwrapped
+
+
+def has_goals(env: SB3VecEnv) -> bool:
+    """Whether these are goal environments (gymnasium-robotics' interface), whose experience serves other goals too."""
+    return set(GOALS) <= set(env.sizes) and hasattr(_owner(env.venv, "compute_reward"), "compute_reward")
+
+
+def actor_layout(config: RunConfig, env: SB3VecEnv, squash: bool) -> NetworkLayout:
+    """The layout of an actor that acts in this environment."""
+    return NetworkLayout(
+        keys=env.keys,
+        sizes=tuple(env.sizes[key] for key in env.keys),
+        actions=int(np.prod(env.action_space.shape or ())),
+        hidden=config.hidden,
+        activation=config.activation,
+        clip=config.clip_observation,
+        squash=squash,
+    )
+
+
+def make_learner_env(env_id: str, config: RunConfig, flatten: bool = True) -> SB3VecEnv:
     """The id's worlds as Stable-Baselines3 takes them, with the residual's base policy inside.
+
+    The learner sees `config.keys`, flat or as a Dict; the base policy sees every key.
 
     Raises:
         ValueError: the environment does not take these options, or has no such keys or policy.
@@ -165,13 +197,14 @@ def make_learner_env(env_id: str, config: TrainConfig) -> SB3VecEnv:
     try:
         if base is not None:
             venv = ResidualActionVector(venv, base, config.residual_scale)
-        return SB3VecEnv(venv, keys=config.keys or tuple(getattr(venv.single_observation_space, "spaces", ())))
+        there = getattr(venv.single_observation_space, "spaces", ())
+        return SB3VecEnv(venv, config.keys or tuple(key for key in there if key not in UNREAD), flatten)
     except ValueError:
         venv.close()
         raise
 
 
-def _make_worlds(env_id: str, config: TrainConfig) -> VectorEnv:
+def _make_worlds(env_id: str, config: RunConfig) -> VectorEnv:
     native = env_spec(env_id).vector_entry_point is not None
     options: dict[str, Any] = {"vector_kwargs": {"autoreset_mode": AutoresetMode.SAME_STEP}}
     if native:  # Gymnasium passes `vector_kwargs` to its own vector environments only; a native one takes plain options

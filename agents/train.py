@@ -1,11 +1,13 @@
-"""Train a policy by PPO, alone or as a residual over an analytic one; resumable to the bit.
+"""Train a policy by PPO or SAC, alone or as a residual over an analytic one; resumable to the bit.
 
     aerograsp train aerograsp/Dock-v0 --residual pid --env-kwarg wind=gusty --export dock.safetensors
+    aerograsp train aerograsp/Reach-v0 --algorithm sac
 
 The out folder holds `latest.safetensors` (the whole state of the training), `best.safetensors` (the best policy on the
 validation seeds, for inference), a JSON card beside each, `summary.json` and TensorBoard's log. The simulator's state
 is not saved: the worlds restart at every periodic checkpoint, in an uninterrupted run too, with seeds drawn from (seed,
-steps). A run resumed from a periodic checkpoint is therefore the uninterrupted one, bit for bit, on one machine.
+steps). A run resumed from a periodic checkpoint is therefore the uninterrupted one, bit for bit, on one machine. SAC's
+memory lies beside, in `replay.npz`; a run resumed without it first gathers new experience with the policy it has.
 """
 
 import argparse
@@ -13,22 +15,37 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agents.arguments import INTERRUPTED, Parser, add_json, guarded, one_line
 from agents.bench_setup import GRASP_PLAN
-from agents.checkpoint import CheckpointError, load_checkpoint
+from agents.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from agents.files import to_json, writable_folder, write_json
-from agents.policies import NAMESPACE, env_spec
-from agents.train_config import LATEST, TrainConfig, TrainingInterrupted, TrainResult, add_config, given_options
+from agents.policies import NAMESPACE, UnknownName, env_spec
+from agents.sac_config import SacConfig
+from agents.train_config import (
+    LATEST,
+    RunConfig,
+    TrainConfig,
+    TrainingInterrupted,
+    TrainResult,
+    add_config,
+    given_options,
+)
 
-__all__ = ["TrainConfig", "TrainResult", "TrainingInterrupted", "default_folder", "train"]
+if TYPE_CHECKING:
+    from agents.training import Run
+
+__all__ = ["ALGORITHMS", "SacConfig", "TrainConfig", "TrainResult", "TrainingInterrupted", "default_folder", "train"]
+
+ALGORITHMS: dict[str, type[RunConfig]] = {kind.FAMILY: kind for kind in (TrainConfig, SacConfig)}
 
 
 def train(
     env_id: str,
-    config: TrainConfig | None = None,
+    config: RunConfig | None = None,
     *,
+    algorithm: str | None = None,
     out: str | Path | None = None,
     resume: str | Path | None = None,
     export: str | Path | None = None,
@@ -41,14 +58,15 @@ def train(
 
     Args:
         env_id: a registered id with Dict observations of vectors and actions in [−1, 1].
-        config: the hyper-parameters; with `resume`, the checkpoint's if None.
-        out: folder for checkpoints and logs; `runs/<id>-<ppo or ppo-residual>-<seed>` by default.
+        config: the hyper-parameters, a `TrainConfig` (PPO) or a `SacConfig`; with `resume`, the checkpoint's if None.
+        algorithm: "ppo" or "sac"; the config's, the resumed checkpoint's, or else PPO if None.
+        out: folder for checkpoints and logs; `runs/<id>-<algorithm>-<seed>` by default.
         resume: a training checkpoint, or the folder of one, to go on from; its folder is the default `out`.
         export: also write the best policy (the latest, if never evaluated) here, for inference.
         overwrite: begin anew in a folder that holds a run.
         progress: a bar on standard error, and a line an evaluation.
         command: what to record as the command in the cards.
-        **changes: fields of `TrainConfig` that override `config`'s.
+        **changes: fields of the configuration that override `config`'s.
 
     Raises:
         ValueError: a user's mistake: unknown id, option or policy, a number out of range, a checkpoint that does not
@@ -59,16 +77,18 @@ def train(
     env_spec(env_id)
     checkpoint = None
     if resume is not None:
-        path = Path(resume)
-        checkpoint = load_checkpoint(path / LATEST if path.is_dir() else path, env_id)
-        if checkpoint.card.get("kind") != "training":
-            raise CheckpointError(f"{checkpoint.path}: expected a training checkpoint, got one for inference only")
+        checkpoint = _training_checkpoint(resume, env_id)
         out = out if out is not None else checkpoint.path.parent
+    named = (algorithm, None if config is None else config.FAMILY, None if checkpoint is None else _family(checkpoint))
+    families = [family for family in named if family is not None]
+    if len(set(families)) > 1:
+        raise ValueError(f"algorithm: expected one for all, got {', '.join(families)}")
+    kind = config_class(families[0] if families else None)
     try:
         if config is None:
-            config = TrainConfig.from_card(checkpoint.card["training"]["config"] if checkpoint else {}, **changes)
+            config = kind.from_card(checkpoint.card["training"]["config"] if checkpoint else {}, **changes)
         elif changes:
-            config = TrainConfig.from_card(config.to_card(), **changes)
+            config = kind.from_card(config.to_card(), **changes)
     except (KeyError, TypeError) as error:
         raise ValueError(f"config: {one_line(error)}") from None
     to_json(dict(config.env_kwargs))  # what the card cannot hold is refused before, not after, the work
@@ -80,15 +100,66 @@ def train(
     writable_folder(folder)
     if export is not None:
         writable_folder(Path(export).absolute().parent)
-    from agents.training import Run  # torch: not before it is needed
-
-    with Run(env_id, config, folder, checkpoint, progress, list(command or [])) as run:
+    with _run_class(config)(env_id, config, folder, checkpoint, progress, list(command or [])) as run:
         return run.train(Path(export) if export is not None else None)
 
 
-def default_folder(env_id: str, config: TrainConfig) -> Path:
+def config_class(algorithm: str | None) -> type[RunConfig]:
+    """The configuration of an algorithm, PPO's for None.
+
+    Raises:
+        UnknownName: no such algorithm.
+    """
+    if algorithm is None:
+        return TrainConfig
+    if algorithm not in ALGORITHMS:
+        raise UnknownName("algorithm", algorithm, ALGORITHMS)
+    return ALGORITHMS[algorithm]
+
+
+def _run_class(config: RunConfig) -> "type[Run]":
+    """The run of an algorithm; torch is not imported before."""
+    if isinstance(config, SacConfig):
+        from agents.sac_training import SacRun
+
+        return SacRun
+    from agents.training import Run
+
+    return Run
+
+
+def _training_checkpoint(resume: str | Path, env_id: str) -> Checkpoint:
+    path = Path(resume)
+    checkpoint = load_checkpoint(path / LATEST if path.is_dir() else path, env_id)
+    if checkpoint.card.get("kind") != "training":
+        raise CheckpointError(f"{checkpoint.path}: expected a training checkpoint, got one for inference only")
+    return checkpoint
+
+
+def _family(checkpoint: Checkpoint) -> str:
+    return str(checkpoint.card.get("algorithm", TrainConfig.FAMILY)).partition("-")[0]
+
+
+def default_folder(env_id: str, config: RunConfig) -> Path:
     """`runs/<id>-<algorithm>-<seed>`."""
     return Path("runs") / f"{env_id.removeprefix(NAMESPACE).replace('/', '-')}-{config.algorithm}-{config.seed}"
+
+
+def _given_algorithm(argv: list[str]) -> str | None:
+    """The algorithm whose options a command line has: the one it names, or that of the run it resumes."""
+    parser = Parser(prog="aerograsp train", add_help=False)
+    parser.add_argument("--algorithm")
+    parser.add_argument("--resume", nargs="?", const="")
+    parser.add_argument("--out")
+    given, _ = parser.parse_known_args(argv)
+    folder = given.resume or given.out
+    if given.algorithm is not None or given.resume is None or folder is None:
+        return given.algorithm
+    path = Path(folder) / LATEST if Path(folder).is_dir() else Path(folder)
+    try:
+        return _family(load_checkpoint(path))
+    except CheckpointError:
+        return None  # what is wrong with it is said when it is resumed
 
 
 def main(argv: list[str]) -> int:
@@ -97,9 +168,10 @@ def main(argv: list[str]) -> int:
         from agents.grasp_training import main as train_grasps
 
         return train_grasps(argv)
+    kind = config_class(_given_algorithm(argv))
     parser = Parser(
         prog="aerograsp train",
-        description="Train a policy by PPO, alone or over an analytic policy.",
+        description="Train a policy by PPO or SAC, alone or over an analytic policy.",
         formatter_class=argparse.HelpFormatter,  # the hyper-parameters tell their defaults themselves
     )
     parser.add_argument("id", metavar="ID", help="environment, e.g. aerograsp/Dock-v0")
@@ -111,17 +183,24 @@ def main(argv: list[str]) -> int:
     parser.add_argument(
         "--export", metavar="FILE", help="also write the best policy here, for inference (.safetensors)"
     )
+    parser.add_argument(
+        "--algorithm",
+        metavar="NAME",
+        help=f"{' or '.join(ALGORITHMS)}, whose hyper-parameters are listed below with --help (default: ppo, or the "
+        "resumed run's)",
+    )
     add_json(parser)
-    add_config(parser, "hyper-parameters")
+    add_config(parser, f"hyper-parameters of {kind.FAMILY}", kind)
     arguments = parser.parse_args(argv)
-    changes = given_options(arguments)
+    changes = given_options(arguments, kind)
     env_spec(arguments.id)
     resume = arguments.resume
     if resume == "":
-        resume = arguments.out or default_folder(arguments.id, TrainConfig.from_card({}, **changes))
+        resume = arguments.out or default_folder(arguments.id, kind.from_card({}, **changes))
     try:
         result = train(
             arguments.id,
+            algorithm=arguments.algorithm,
             out=arguments.out,
             resume=resume,
             export=arguments.export,

@@ -6,12 +6,14 @@ from collections.abc import Mapping
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from agents.arguments import add_env_kwargs
 from agents.checkpoint import ACTIVATIONS
 
 LATEST, BEST = "latest.safetensors", "best.safetensors"
+AUTO = "auto"
+UNREAD = ("object_cloud",)  # observations that are no input of a perceptron: an object's model, constant in an episode
 
 
 class TrainingInterrupted(KeyboardInterrupt):
@@ -30,85 +32,72 @@ class TrainResult:
     curve: list[dict[str, Any]]
 
 
-def _option(default: Any, text: str) -> Any:
+def option(default: Any, text: str) -> Any:
+    """A configuration's field, with what `--help` says of it."""
     return field(default=default, metadata={"help": text})
 
 
 @dataclass(frozen=True)
-class TrainConfig:
-    """Hyper-parameters of PPO (Schulman et al. 2017) and of the run. A value out of range is a ValueError."""
+class RunConfig:
+    """What every algorithm's configuration has: the run's options, apart from how it learns."""
 
-    steps: int = _option(1_000_000, "environment steps in all, over all worlds (a resumed run's earlier ones included)")
-    num_envs: int = _option(64, "worlds side by side")
-    seed: int = _option(0, "of the network, the sampling and the worlds")
-    keys: tuple[str, ...] = _option((), "observation keys the network reads, in this order; none: all")
-    residual: str | None = _option(None, "name of the analytic policy to correct; none: the network acts alone")
-    residual_scale: float = _option(0.3, "what the correction is multiplied by before it is added to the base action")
-    hidden: tuple[int, ...] = _option((64, 64), "widths of the hidden layers, of actor and critic each")
-    activation: str = _option("tanh", " or ".join(ACTIVATIONS))
-    log_std: float = _option(-1.0, "initial log standard deviation of the action")
-    sde_hold: int = _option(
-        0, "steps that exploration by a random function of the state (gSDE, Raffin et al. 2021) is held; 0: white noise"
+    steps: int = option(1_000_000, "environment steps in all, over all worlds (a resumed run's earlier ones included)")
+    num_envs: int = option(64, "worlds side by side")
+    seed: int = option(0, "of the network, the sampling and the worlds")
+    keys: tuple[str, ...] = option(
+        (), f"observation keys the network reads, in this order; none: all but {', '.join(UNREAD)}"
     )
-    learning_rate: float = _option(3e-4, "Adam's, at the start")
-    final_learning_rate: float = _option(0.0, "at the end; linear in between")
-    n_steps: int = _option(128, "steps a world and rollout")
-    batch_size: int = _option(2048, "minibatch size")
-    epochs: int = _option(10, "passes over a rollout")
-    gamma: float = _option(0.99, "discount factor a step")
-    gae_lambda: float = _option(0.95, "λ of the generalised advantage estimate")
-    clip_range: float = _option(0.2, "PPO's ε")
-    target_kl: float | None = _option(None, "stop an update's epochs beyond 1.5 times this KL divergence; none: never")
-    entropy: float = _option(0.0, "weight of the entropy bonus")
-    value_weight: float = _option(0.5, "weight of the value loss")
-    max_grad_norm: float = _option(0.5, "gradient clipping")
-    normalize_reward: bool = _option(False, "divide rewards by the running deviation of the return (training only)")
-    clip_observation: float = _option(10.0, "bound of the normalised observation")
-    checkpoint_every: int = _option(
+    residual: str | None = option(None, "name of the analytic policy to correct; none: the network acts alone")
+    residual_scale: float = option(0.3, "what the correction is multiplied by before it is added to the base action")
+    hidden: tuple[int, ...] = option((64, 64), "widths of the hidden layers, of actor and critic each")
+    activation: str = option("tanh", " or ".join(ACTIVATIONS))
+    learning_rate: float = option(3e-4, "Adam's, at the start")
+    final_learning_rate: float = option(0.0, "at the end; linear in between")
+    gamma: float = option(0.99, "discount factor a step")
+    batch_size: int = option(2048, "minibatch size")
+    normalize_reward: bool = option(False, "divide rewards by the running deviation of the return (training only)")
+    clip_observation: float = option(10.0, "bound of the normalised observation")
+    checkpoint_every: int = option(
         500_000, "steps between checkpoints; the worlds restart there, so that resuming is exact"
     )
-    eval_every: int = _option(500_000, "steps between evaluations on the validation seeds")
-    eval_episodes: int = _option(20, "episodes of an evaluation; 0: never evaluate")
-    metric: str = _option("error", "metric by which the best policy is kept (lower is better), or success, or return")
-    crash_penalty: float = _option(1.0, "added to the metric of an episode that crashes")
-    threads: int = _option(1, "torch's")
+    eval_every: int = option(500_000, "steps between evaluations on the validation seeds")
+    eval_episodes: int = option(20, "episodes of an evaluation; 0: never evaluate")
+    metric: str = option(
+        AUTO,
+        "metric by which the best policy is kept (lower is better), or success, or return; auto: error where the id "
+        "reports it, else success",
+    )
+    crash_penalty: float = option(1.0, "added to the metric of an episode that crashes")
+    threads: int = option(1, "torch's")
     env_kwargs: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    FAMILY: ClassVar[str] = ""  # "ppo" or "sac"
 
     def __post_init__(self) -> None:
         for name in ("keys", "hidden"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         # A card gives lists back where the command line gave tuples: both are one configuration.
         object.__setattr__(self, "env_kwargs", {key: _tuples(value) for key, value in self.env_kwargs.items()})
-        at_least = {
-            1: ("steps", "num_envs", "n_steps", "epochs", "checkpoint_every", "eval_every", "threads"),
-            2: ("batch_size",),  # advantages are normalised within a minibatch
-            0: ("seed", "eval_episodes", "sde_hold"),
-        }
-        for minimum, names in at_least.items():
-            for name in names:
-                value = getattr(self, name)
-                if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-                    raise ValueError(f"{name}: expected an integer of at least {minimum}, got {value!r}")
+        self._check_integers(1, "steps", "num_envs", "checkpoint_every", "eval_every", "threads")
+        self._check_integers(2, "batch_size")  # PPO's advantages are normalised within a minibatch
+        self._check_integers(0, "seed", "eval_episodes")
         if not all(isinstance(width, int) and width > 0 for width in self.hidden):
             raise ValueError(f"hidden: expected positive widths, got {self.hidden}")
         if self.activation not in ACTIVATIONS:
             raise ValueError(f"activation: expected {' or '.join(ACTIVATIONS)}, got {self.activation!r}")
-        for name in ("learning_rate", "clip_range", "max_grad_norm", "clip_observation", "residual_scale"):
+        for name in ("learning_rate", "clip_observation", "residual_scale"):
             self._check_number(name, math.ulp(0.0), math.inf)
-        for name in ("final_learning_rate", "entropy", "value_weight", "crash_penalty"):
+        for name in ("final_learning_rate", "crash_penalty"):
             self._check_number(name, 0.0, math.inf)
-        for name in ("gamma", "gae_lambda"):
-            self._check_number(name, 0.0, 1.0)
-        self._check_number("log_std", -20.0, 2.0)
-        if self.target_kl is not None:
-            self._check_number("target_kl", math.ulp(0.0), math.inf)
-        if (self.num_envs * self.n_steps) % self.batch_size:
-            raise ValueError(
-                f"batch_size: expected a divisor of num_envs * n_steps = {self.num_envs * self.n_steps}, "
-                f"got {self.batch_size}"
-            )
+        self._check_number("gamma", 0.0, 1.0)
         if self.seed >= 2**32:
             raise ValueError(f"seed: expected less than 2**32, got {self.seed}")
+
+    def _check_integers(self, minimum: int, *names: str) -> None:
+        for name in names:
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+                raise ValueError(f"{name}: expected an integer of at least {minimum}, got {value!r}")
 
     def _check_number(self, name: str, low: float, high: float) -> None:
         value = getattr(self, name)
@@ -123,15 +112,15 @@ class TrainConfig:
 
     @property
     def algorithm(self) -> str:
-        """ "ppo" or "ppo-residual"."""
-        return "ppo" if self.residual is None else "ppo-residual"
+        """The family's name, with "-residual" where an analytic policy is corrected."""
+        return self.FAMILY if self.residual is None else f"{self.FAMILY}-residual"
 
     def to_card(self) -> dict[str, Any]:
         """The configuration as a JSON object (if `env_kwargs` is)."""
         return asdict(self)
 
     @classmethod
-    def from_card(cls, card: Mapping[str, Any], **changes: Any) -> "TrainConfig":
+    def from_card(cls, card: Mapping[str, Any], **changes: Any) -> Self:
         """Read what `to_card` wrote, with some fields changed. Raises ValueError on unknown fields."""
         known = {item.name for item in fields(cls)}
         unknown = sorted(set(card) - known)
@@ -140,19 +129,57 @@ class TrainConfig:
         return cls(**{**card, **changes})
 
 
-def add_config(parser: argparse.ArgumentParser, title: str) -> None:
-    """One option a field of `TrainConfig`. Only those given appear in the parsed namespace."""
+@dataclass(frozen=True)
+class TrainConfig(RunConfig):
+    """Hyper-parameters of PPO (Schulman et al. 2017) and of the run. A value out of range is a ValueError."""
+
+    log_std: float = option(-1.0, "initial log standard deviation of the action")
+    sde_hold: int = option(
+        0, "steps that exploration by a random function of the state (gSDE, Raffin et al. 2021) is held; 0: white noise"
+    )
+    n_steps: int = option(128, "steps a world and rollout")
+    epochs: int = option(10, "passes over a rollout")
+    gae_lambda: float = option(0.95, "λ of the generalised advantage estimate")
+    clip_range: float = option(0.2, "PPO's ε")
+    target_kl: float | None = option(None, "stop an update's epochs beyond 1.5 times this KL divergence; none: never")
+    entropy: float = option(0.0, "weight of the entropy bonus")
+    value_weight: float = option(0.5, "weight of the value loss")
+    max_grad_norm: float = option(0.5, "gradient clipping")
+
+    FAMILY: ClassVar[str] = "ppo"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._check_integers(1, "n_steps", "epochs")
+        self._check_integers(0, "sde_hold")
+        for name in ("clip_range", "max_grad_norm"):
+            self._check_number(name, math.ulp(0.0), math.inf)
+        for name in ("entropy", "value_weight"):
+            self._check_number(name, 0.0, math.inf)
+        self._check_number("gae_lambda", 0.0, 1.0)
+        self._check_number("log_std", -20.0, 2.0)
+        if self.target_kl is not None:
+            self._check_number("target_kl", math.ulp(0.0), math.inf)
+        if (self.num_envs * self.n_steps) % self.batch_size:
+            raise ValueError(
+                f"batch_size: expected a divisor of num_envs * n_steps = {self.num_envs * self.n_steps}, "
+                f"got {self.batch_size}"
+            )
+
+
+def add_config(parser: argparse.ArgumentParser, title: str, kind: type[RunConfig] = TrainConfig) -> None:
+    """One option a field of the configuration `kind`. Only those given appear in the parsed namespace."""
     group = parser.add_argument_group(title)
-    for item in fields(TrainConfig):
+    for item in fields(kind):
         if item.name != "env_kwargs":
             _add_field(group, item)
     add_env_kwargs(parser)
     parser.set_defaults(env_kwargs=None)
 
 
-def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The fields of `TrainConfig` that the command line sets."""
-    names = {item.name for item in fields(TrainConfig)}
+def given_options(arguments: argparse.Namespace, kind: type[RunConfig] = TrainConfig) -> dict[str, Any]:
+    """The fields of the configuration `kind` that the command line sets."""
+    names = {item.name for item in fields(kind)}
     return {name: value for name, value in vars(arguments).items() if name in names and value is not None}
 
 

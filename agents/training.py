@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -26,22 +26,28 @@ from agents.policies import UnknownName
 from agents.provenance import provenance
 from agents.sb3_env import make_learner_env
 from agents.seeds import TRAIN_SEEDS, VALIDATION_SEED
-from agents.train_config import BEST, LATEST, TrainConfig, TrainingInterrupted, TrainResult
+from agents.train_config import AUTO, BEST, LATEST, RunConfig, TrainingInterrupted, TrainResult
 
 
-def world_seed(config: TrainConfig, steps: int) -> int:
+def world_seed(config: RunConfig, steps: int) -> int:
     """The seed of world 0 after `steps`; world i's is i more, all within the training seeds."""
     draw = int(np.random.SeedSequence([config.seed, steps]).generate_state(1)[0])
     return TRAIN_SEEDS.start + draw % (len(TRAIN_SEEDS) - config.num_envs)
 
 
 class Run:
-    """One training from its start, or its checkpoint, to its end; a context manager that closes the worlds."""
+    """One training from its start, or its checkpoint, to its end; a context manager that closes the worlds.
+
+    By PPO; other algorithms derive from it, with a `learner` module that has the same functions as `agents.ppo`.
+    """
+
+    learner: ClassVar[Any] = ppo
+    flatten: ClassVar[bool] = True  # whether the learner takes flat observations
 
     def __init__(
         self,
         env_id: str,
-        config: TrainConfig,
+        config: Any,  # of the learner's class
         folder: Path,
         checkpoint: Checkpoint | None,
         progress: bool,
@@ -49,18 +55,16 @@ class Run:
     ) -> None:
         self.env_id, self.config, self.folder, self.command = env_id, config, folder, command
         self.provenance = provenance(shlex.join(command))  # now: the checkout may change while this runs
-        self.learner_env = make_learner_env(env_id, config)
+        self.progress = progress
+        self.learner_env = make_learner_env(env_id, config, self.flatten)
         self._threads = torch.get_num_threads()
         torch.set_num_threads(config.threads)
         try:
-            self.model, self.env = ppo.build(config, self.learner_env)
-            self.layout = ppo.layout(config, self.learner_env)
+            self.model, self.env = self.learner.build(config, self.learner_env)
+            self.layout = self.learner.layout(config, self.learner_env)
             history: dict[str, Any] = {}
             if checkpoint is not None:
-                try:
-                    ppo.restore(self.model, self.env, checkpoint.tensors)
-                except CheckpointError as error:
-                    raise CheckpointError(f"{checkpoint.path}: {error}") from None
+                self._restore(checkpoint)
                 history = checkpoint.card["training"]
             self.start_steps = self.model.num_timesteps
             if self.start_steps >= config.steps:
@@ -75,7 +79,6 @@ class Run:
             self.evaluated = self.saved = self.start_steps
             self.stopping = False
             self.deferring = False
-            self.progress = progress
             self.model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
             self._restart_worlds()
         except BaseException:
@@ -135,6 +138,17 @@ class Run:
             self._save()
             self._restart_worlds()
 
+    @property
+    def algorithm(self) -> str:
+        """What the card calls it."""
+        return self.config.algorithm
+
+    def _restore(self, checkpoint: Checkpoint) -> None:
+        try:
+            self.learner.restore(self.model, self.env, checkpoint.tensors)
+        except CheckpointError as error:
+            raise CheckpointError(f"{checkpoint.path}: {error}") from None
+
     def _restart_worlds(self) -> None:
         """Begin new episodes, as a resumed run must: the rollout before is complete, its last value bootstrapped."""
         self.env.seed(world_seed(self.config, self.model.num_timesteps))
@@ -143,15 +157,18 @@ class Run:
 
     def _evaluate(self) -> None:
         began = time.perf_counter()
-        tensors = ppo.actor_tensors(self.model, self.env)
+        tensors = self.learner.actor_tensors(self.model, self.env)
         base = None if self.config.residual is None else analytic_policy(self.env_id, self.config.residual)
         policy = NetworkPolicy(self.layout, tensors, base=base, scale=self.config.residual_scale)
         with _immediate_interrupt(self):
             result = evaluate(self.env_id, policy, self.config.eval_episodes, VALIDATION_SEED, self.config.env_kwargs)
         names = {"return": "returns", "success": "success"}
-        name = names.get(self.config.metric, self.config.metric)
+        metric = self.config.metric
+        if metric == AUTO:
+            metric = "error" if "error" in result.metrics else "success"
+        name = names.get(metric, metric)
         if name not in result.names:
-            raise UnknownName("metric", self.config.metric, [*names, *result.metrics])
+            raise UnknownName("metric", metric, [AUTO, *names, *result.metrics])
         values = result.values(name)
         crashes = result.metrics.get("crash", np.zeros(result.episodes))
         # An episode that ended before its metric was defined (NaN) counts with the penalty alone.
@@ -178,12 +195,14 @@ class Run:
         self.say(f"{self.evaluated} steps: score {score:.6g}, success {row['success']:.2f}, return {row['return']:.6g}")
 
     def _save(self) -> None:
-        save_checkpoint(self.folder / LATEST, ppo.training_tensors(self.model, self.env), self._card("training"))
+        save_checkpoint(
+            self.folder / LATEST, self.learner.training_tensors(self.model, self.env), self._card("training")
+        )
         self.saved = self.model.num_timesteps
 
     def _export(self, path: Path) -> None:
         best = self.folder / BEST
-        card, tensors = self._card("policy"), ppo.actor_tensors(self.model, self.env)
+        card, tensors = self._card("policy"), self.learner.actor_tensors(self.model, self.env)
         if self.best is not None and best.exists():
             found = load_checkpoint(best, self.env_id)
             if found.network == self.layout:
@@ -199,9 +218,10 @@ class Run:
             "kind": kind,
             "env_id": self.env_id,
             "env_kwargs": dict(config.env_kwargs),
-            "algorithm": config.algorithm,
+            "algorithm": self.algorithm,
             "steps": self.model.num_timesteps,
             "validation_error": error,  # [m], the best row's
+            "validation_score": (self.best or {}).get("score"),  # lower is better
             "network": asdict(self.layout),
             "base": None if config.residual is None else residual,
             "training": {
