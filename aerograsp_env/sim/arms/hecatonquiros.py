@@ -19,6 +19,8 @@ Choices of ours, which text and files leave open:
 - Servos. The four-joint arm has analog servos of 25 kg·cm (2.45 N m) in its joints, as the text says. The others have
   serial servos of 30 kg·cm (2.94 N m, 45 rev/min, 12-bit encoder, typical of those that 150 $ an arm can buy), two of
   them side by side at the shoulder. Gains are those of stiff position servos, not identified.
+- Configurations. `home` points the tool along the base's z axis, 30° and more from every limit of the longer arms and
+  where their Jacobians are far from singular; `stowed` folds the arm below its base.
 - Collision shapes: capsules round the printed parts, a cylinder for the base, the boxes of the gripper.
 """
 
@@ -195,7 +197,7 @@ def _five() -> ArmConfig:
         T_last_tool=_at(_WRIST_5, 0.14, 0.0, 0.0),  # x along the wrist's hinge, z along the hand
         gripper=WormGripper(_JAWS),
         stowed=np.radians([0.0, -100.0, 100.0, 0.0, -100.0]),
-        home=np.radians([0.0, 20.0, -100.0, 0.0, -80.0]),
+        home=np.radians([0.0, 10.0, -80.0, 0.0, -70.0]),
     )  # fmt: skip
 
 
@@ -228,7 +230,7 @@ def _six() -> ArmConfig:
         T_last_tool=_at(np.eye(3), -0.015, 0.0, 0.12),
         gripper=WormGripper(_JAWS),
         stowed=np.radians([0.0, -100.0, 100.0, 0.0, 100.0, 0.0]),
-        home=np.radians([0.0, 20.0, -100.0, 0.0, 80.0, 0.0]),
+        home=np.radians([0.0, 10.0, -80.0, 0.0, 70.0, 0.0]),
     )  # fmt: skip
 
 
