@@ -555,3 +555,34 @@ def test_a_bus_refuses_what_cannot_be():
         Line().bus.read(254, Register.PRESENT, 8)
     with pytest.raises(ValueError, match="servos: expected 3, got 1"):
         SimulatedServoBus(config(), SimulatedServos([0.0]))
+
+
+def test_an_adapter_that_echoes_is_refused():
+    line = Line()
+    port = line.bus._port
+    receive = line.simulated.receive
+    line.simulated.receive = lambda data: data + receive(data)
+    with pytest.raises(IdConflict, match="or the adapter echoes"):
+        line.arm.connect()
+    assert line.simulated.written == [] and port._inbox != b""
+
+
+def test_an_interrupted_program_leaves_the_arm_holding():
+    line = Line()
+    with pytest.raises(KeyboardInterrupt), line.arm as arm:
+        arm.command_positions([0.3, 0.0, 0.0], [0.5] * 3)
+        line.servos.advance(0.1)
+        raise KeyboardInterrupt
+    line.servos.advance(1.0)
+    assert line.servos.position[0] < 0.08 and line.servos.enabled.all()
+
+
+def test_the_speed_of_a_command_is_never_above_the_asked_and_never_zero():
+    """A goal speed of 0 would mean: as fast as the servo can."""
+    line = Line()
+    with line.arm as arm:
+        for rate in (1e-4, 0.01, 0.5, 2.0):
+            arm.command_positions([0.1, 0.0, 0.0], [rate] * 3)
+            words = line.simulated.memory[11][Register.GOAL : Register.GOAL + 6]
+            units, step = int.from_bytes(words[4:6], "big"), 2 * math.pi / 1024
+            assert units >= 1 and (units == 1 or units * step <= rate)

@@ -1,4 +1,14 @@
-"""One interface to simulated and real arms (the hardware abstraction of the thesis' appendix A.3)."""
+"""One interface to simulated and real arms (the hardware abstraction of the thesis' appendix A.3).
+
+    config = SerialArmConfig.from_xml("config_arm1.xml", arm=1)
+    with SerialArm(config, "/dev/ttyUSB0") as arm:  # read-only; a simulated arm has the same methods
+        print(arm.read().position)
+    with SerialArm(config, "/dev/ttyUSB0", enable_motion=True) as arm:
+        while ...:
+            arm.command_rates(rates, dt=0.02)  # refused beyond limits; the arm holds when commands stop
+
+Serial ports need pyserial (`pip install 'aerograsp[serial]'`).
+"""
 
 from aerograsp_env.backends.bus import IdConflict, ServoBus
 from aerograsp_env.backends.config import SerialArmConfig, ServoCalibration, read_calibration

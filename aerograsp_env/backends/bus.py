@@ -68,7 +68,7 @@ def open_port(path: str, *, baud: int = BAUD, timeout: float = TIMEOUT) -> Port:
 
 
 class ServoBus:
-    """A half-duplex line, to which one or more arms are connected.
+    """A half-duplex line, to which one or more arms are connected; for one thread.
 
     A bad or missing answer is asked for again; `max_failures` in a row, or a port that fails, raise `LinkLost`.
 
@@ -116,7 +116,7 @@ class ServoBus:
         """
         status = self._request(servo, Instruction.PING, b"", 0)
         if self._port_read(1):
-            raise IdConflict(f"{self._label(servo)}: more than one servo answers to its id")
+            raise IdConflict(f"{self._label(servo)}: more than one servo answers to its id, or the adapter echoes")
         return status
 
     def read(self, servo: int, register: Register, size: int) -> Status:

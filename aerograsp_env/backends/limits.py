@@ -64,9 +64,9 @@ class ArmState(NamedTuple):
     errors: tuple[ServoError, ...]  # of each servo
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ArmLimits:
-    """What may be commanded of each joint.
+    """What may be commanded of each joint. Compared by identity.
 
     Args:
         names: of the n joints, in the order of every vector.

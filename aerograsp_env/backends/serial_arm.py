@@ -29,6 +29,8 @@ class SerialArm(ArmBackend):
         port: the path of a serial port, which the arm then opens and closes, or the bus that it shares with others.
         enable_motion: True lets the servos be commanded. Without it nothing is ever written to them.
         clock: the time [s].
+
+    `connect` also raises `IdConflict`, and `ImportError` where `port` is a path and pyserial is not installed.
     """
 
     def __init__(

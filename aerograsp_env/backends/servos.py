@@ -22,7 +22,7 @@ OVERLOAD_SHARE = 0.98  # of the torque limit counts as overload
 NEUTRAL = {"temperature": 25.0, "voltage": 7.4}  # [°C], [V]: two lithium cells
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ServoParameters:
     """n servos; every field is (n,) or one number for all. The defaults are a 25 kg·cm serial servo.
 
@@ -48,7 +48,7 @@ class ServoParameters:
             object.__setattr__(self, name, value)
 
 
-@dataclass
+@dataclass(eq=False)
 class SimulatedServos:
     """n servos and the joints they move. Set `goal` [rad], `speed` [rad/s] and `enabled`, then `advance`.
 

@@ -7,7 +7,7 @@ import select
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Literal
 
 from aerograsp_env.backends.config import SerialArmConfig
@@ -55,7 +55,7 @@ class SimulatedServoBus:
         self._then = clock() if clock else 0.0
         self._faults: deque[Fault | None] = deque()
         self._inbox = bytearray()
-        self._lines: set[int] = set()
+        self._hang_up: Callable[[], None] | None = None
         self._index = {servo.servo: i for i, servo in enumerate(config.servos)}
         self.memory = {servo: bytearray(MEMORY) for servo in self._index}
         for memory in self.memory.values():
@@ -70,9 +70,9 @@ class SimulatedServoBus:
     def unplug(self) -> None:
         """Let the port vanish, as a pulled cable does."""
         self.plugged = False
-        for line in self._lines:
-            os.close(line)
-        self._lines.clear()
+        if self._hang_up is not None:
+            self._hang_up()
+            self._hang_up = None
 
     def port(self) -> SimulatedPort:
         """A port in this process, used as pyserial's; a timeout there takes no time."""
@@ -87,24 +87,31 @@ class SimulatedServoBus:
         tty.setraw(device)
         path = os.ttyname(device)
         wake, waker = os.pipe()
-        self._lines = {line, device}
 
         def answer() -> None:
-            with suppress(OSError, ValueError):  # the line was unplugged
-                while wake not in (ready := select.select([line, wake], [], [])[0]):
-                    if ready and (reply := self.receive(os.read(line, 4096))):
-                        os.write(line, reply)
+            while True:
+                ready, _, _ = select.select([line, wake], [], [])
+                if wake in ready:
+                    return
+                if reply := self.receive(os.read(line, 4096)):
+                    os.write(line, reply)
 
         thread = threading.Thread(target=answer, daemon=True)
+
+        def hang_up() -> None:
+            os.write(waker, b"x")
+            thread.join()
+            for descriptor in (line, device, wake, waker):
+                os.close(descriptor)
+
         thread.start()
+        self._hang_up = hang_up
         try:
             yield path
         finally:
-            os.write(waker, b"x")
-            thread.join()
-            for descriptor in (*self._lines, wake, waker):
-                os.close(descriptor)
-            self._lines.clear()
+            if self._hang_up is not None:  # and not unplugged
+                self._hang_up()
+                self._hang_up = None
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the line and return the answers to them. Damaged packets are ignored, as servos do."""
