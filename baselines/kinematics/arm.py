@@ -46,6 +46,7 @@ class Arm:
     chain: Array = field(
         init=False, repr=False
     )  # (n + 1, 3, 4), for the compiled kernels: see baselines.kinematics.chain
+    length: float = field(init=False, repr=False)  # from the first joint along the chain to the tool [m]
     _turns: Array = field(init=False, repr=False)  # (n, 3, 3) that bring z to the joint's axis
 
     def __post_init__(self) -> None:
@@ -78,16 +79,12 @@ class Arm:
             value.setflags(write=False)
             object.__setattr__(self, name, value)
         object.__setattr__(self, "names", names)
+        object.__setattr__(self, "length", float(np.linalg.norm(chain[1:, :3, 3], axis=1).sum()))
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.placements)
-
-    @property
-    def length(self) -> float:
-        """Of the chain from its first joint to the tool [m], which never moves farther from that joint."""
-        return float(np.linalg.norm(self.chain[1:, :, 3], axis=1).sum())
 
     def forward(self, q: ArrayLike) -> Array:
         """T_base_tool (..., 4, 4) at joint angles q (..., n) [rad]; limits are not enforced.

@@ -204,7 +204,8 @@ def bounded_step(gram, gradient, damping, q, limits, step_limits, q_next):
             shrink = step_limits[i] / abs(q_next[i])
     moved = False
     for i in range(n):
-        q_next[i] = min(max(q[i] + shrink * q_next[i], limits[i, 0]), limits[i, 1]) if free[i] else q[i]
+        low, high = min(q[i], limits[i, 0]), max(q[i], limits[i, 1])  # one that is beyond a limit does not jump
+        q_next[i] = min(max(q[i] + shrink * q_next[i], low), high) if free[i] else q[i]
         moved |= q_next[i] != q[i]
     return moved
 

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.spatial import as_array, check_transform
-from baselines.kinematics import dls
 from baselines.kinematics.arm import Arm
-from baselines.kinematics.chain import POSE, POSITION, POSITION_ROLL, task_kernel
+from baselines.kinematics.chain import POSE, POSITION, POSITION_ROLL, forward_kernel, task_kernel
+from baselines.kinematics.closed_form_4dof import branches_4dof
+from baselines.kinematics.closed_form_6dof import branches_6dof
+from baselines.kinematics.search import error_sizes, search
 
 Array = NDArray[np.float64]
 Method = Literal["dls", "analytic", "global"]
@@ -49,8 +51,8 @@ def solve_ik(
     about the approach axis (the tool's z): what remains of the target's rotation after the smallest rotation that
     aligns the approach axes, which is what an arm of four joints can choose (thesis section 5.2).
 
-    Methods: "dls" descends from q0, then from deterministic samples of the joint ranges (`dls.search`), for any arm and
-    task. "analytic" is the closed form of arms of four joints, for any task; "global" that of arms of six joints with
+    Methods: "dls" descends from q0, then from deterministic samples of the joint ranges (`baselines.kinematics.search`),
+    for any arm and task. "analytic" is the closed form of arms of four joints, for any task; "global" that of arms of six joints with
     a spherical wrist, for poses: both weigh every branch within the limits and take the one nearest to q0 (`jump` says
     how near). Where no branch fits, the damped search finds the nearest configuration.
 
@@ -67,7 +69,7 @@ def solve_ik(
         ValueError: a target that is not a rigid transform (a reflection, NaN, …), q0 of another shape or not finite, an
             unknown method or task, a tolerance that is not positive, or a closed form for an arm or task without one.
     """
-    target = check_transform(T_target, "T_target")
+    target = np.ascontiguousarray(check_transform(T_target, "T_target"))
     if target.shape != (4, 4):
         raise ValueError(f"T_target: expected shape (4, 4), got {target.shape}")
     if task not in TASKS:
@@ -84,25 +86,47 @@ def solve_ik(
         if given.shape != (arm.n,):
             raise ValueError(f"q0: expected shape ({arm.n},), got {given.shape}")
         start = np.clip(given, arm.limits[:, 0], arm.limits[:, 1])
-    tolerances = position_tolerance, orientation_tolerance
+    code, tolerances = TASKS[task], (position_tolerance, orientation_tolerance)
+    count = 0
+    if method != "dls":
+        branches = _branches(arm, target, start, method, task)
+        count = len(branches)
+        for q in branches[np.argsort(np.abs(branches - start).max(axis=1))]:  # the nearest first
+            position, orientation = _errors(arm, q, target, code)
+            if position <= position_tolerance and orientation <= orientation_tolerance:
+                return IKResult(q, True, 0, position, orientation, "", _jump(q, given), count)
+        if count:
+            start = branches[0]
+    found = search(arm, target, start, code, *tolerances)
+    position, orientation = _errors(arm, found.q, target, code)
+    reason = ""
+    if not found.converged:
+        sought = f"from {found.searches} starts" if method == "dls" else "by the closed form"
+        reason = (
+            f"no configuration within the limits meets the target ({sought}): the nearest is off by {position:.3g} m "
+            f"and {orientation:.3g} rad, tolerances {position_tolerance:g} m and {orientation_tolerance:g} rad"
+        )
+    jump = _jump(found.q, given)
+    return IKResult(found.q, found.converged, found.iterations, position, orientation, reason, jump, count)
 
-    found = dls.search(arm, target, start, TASKS[task], *tolerances)
-    position, orientation = _errors(arm, found.q, target, TASKS[task])
-    jump = math.nan if given is None else float(np.max(np.abs(found.q - given)))
-    reason = "" if found.converged else _reason(found.searches, position, orientation, tolerances)
-    return IKResult(found.q, found.converged, found.iterations, position, orientation, reason, jump)
+
+def _branches(arm: Arm, target: Array, start: Array, method: str, task: str) -> Array:
+    """A closed form's configurations (k, n) within the limits."""
+    if method == "analytic":
+        return branches_4dof(arm, target, start, roll=task != "position")
+    if task != "pose":
+        raise ValueError(f'task: method "global" solves poses, got {task!r}')
+    return branches_6dof(arm, target, start)
+
+
+def _jump(q: Array, q0: Array | None) -> float:
+    return math.nan if q0 is None else float(np.max(np.abs(q - q0)))
 
 
 def _errors(arm: Arm, q: Array, target: Array, task: int) -> tuple[float, float]:
-    """Position [m] and orientation error [rad] of a task, measured afresh at q."""
-    error, jacobian = np.empty(6), np.empty((6, 1))
-    rows = task_kernel(task, arm.forward(q), target, jacobian, error)
-    position, orientation = dls.error_sizes(error, rows)
+    """Position [m] and orientation error [rad] of a task at q."""
+    tool, jacobian, error = np.empty((3, 4)), np.zeros((6, 1)), np.empty(6)
+    forward_kernel(arm.chain, q, tool)
+    rows = task_kernel(task, tool, target, jacobian, error)
+    position, orientation = error_sizes(error, rows)
     return float(position), float(orientation)
-
-
-def _reason(starts: int, position: float, orientation: float, tolerances: tuple[float, float]) -> str:
-    return (
-        f"no configuration within the limits meets the target (from {starts} starts): the nearest is off by "
-        f"{position:.3g} m and {orientation:.3g} rad, tolerances {tolerances[0]:g} m and {tolerances[1]:g} rad"
-    )
