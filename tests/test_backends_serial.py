@@ -211,6 +211,9 @@ def test_loads_have_the_joints_sign_also_where_a_servo_turns_backwards():
     with line.arm as arm:
         line.servos.advance(0.5, [0.5, 0.5, -0.5])
         np.testing.assert_allclose(arm.read().load, np.array([-0.5, -0.5, 0.5]) / 2.45, atol=1e-3)
+        line.run([0.1, 0.1, 0.1], 5)
+        np.testing.assert_allclose(arm.read().velocity, line.servos.velocity, atol=7e-3)
+        assert (arm.read().velocity > 0.1).all()
         line.run([0.1, 0.1, 0.1])
         np.testing.assert_allclose(line.servos.position, 0.1, atol=4e-3)
         assert (arm.read().position > 0.08).all()
@@ -224,6 +227,18 @@ def test_rates_move_an_arm():
             line.servos.advance(0.02)
         line.servos.advance(0.1)
         np.testing.assert_allclose(arm.read().position, [0.5, -0.5, 0.0], atol=0.01)
+
+
+def test_a_joint_that_lags_catches_up_no_faster_than_its_limit():
+    line = Line()
+    with line.arm as arm:
+        for _ in range(8):  # the servo stands still meanwhile
+            arm.command_rates([1.5, 0.0, 0.0], 0.02)
+        speeds = line.simulated.memory[11][Register.GOAL + 4 : Register.GOAL + 6]
+        assert 1.9 < int.from_bytes(speeds, "big") * 2 * math.pi / 1024 <= 2.0
+        with pytest.raises(CommandRefused, match=r"'base': .* more than the 0"):
+            for _ in range(8):
+                arm.command_rates([1.5, 0.0, 0.0], 0.02)
 
 
 def test_connecting_moves_nothing_and_switches_the_torque_on_last():
@@ -473,8 +488,10 @@ def test_the_overload_bit_stops_the_arm():
         with pytest.raises(ServoFault):
             arm.reset()
         line.servos.faults[2] = ServoError(0)
+        line.servos.enabled[2] = False  # as servos do that unload themselves
         arm.reset()
         line.run([0.2, 0.2, 0.2])
+        np.testing.assert_allclose(line.servos.position, 0.2, atol=4e-3)
 
 
 def test_a_blocked_servo_protects_itself_and_the_arm_stops():
@@ -495,6 +512,8 @@ def test_an_arm_with_a_fault_connects_and_cannot_be_commanded():
         with pytest.raises(ServoFault, match="'base': VOLTAGE"):
             arm.command_positions([0.0] * 3)
         assert not line.servos.enabled.any()
+        before = list(line.simulated.written)
+    assert line.simulated.written == before  # it was never made to move, so closing has nothing to stop
 
 
 # --- a serial device ---------------------------------------------------------
