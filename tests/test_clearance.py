@@ -6,7 +6,15 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from aerograsp_env.sim.gripper import GripperConfig
-from baselines.grasping.clearance import APPROACH, PALM, TOLERANCE, mesh_collisions, point_collisions, swept_boxes
+from baselines.grasping.clearance import (
+    APPROACH,
+    PALM,
+    TOLERANCE,
+    mesh_collisions,
+    point_collisions,
+    point_distances,
+    swept_boxes,
+)
 from baselines.objects.mesh import MeshObject
 
 GRIPPER = GripperConfig()
@@ -105,6 +113,21 @@ def test_points_against_the_definition():
         assert inside.any() == (found[g] >= 0)
         if found[g] >= 0:
             assert inside[:, found[g]].any()
+
+
+def test_distances_against_the_definition():
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-0.1, 0.1, (60, 3))
+    rotations, centers = Rotation.random(40, rng=rng).as_matrix(), rng.uniform(-0.2, 0.2, (40, 3))
+    boxes = swept_boxes(GRIPPER, np.full(40, 0.05), np.full(40, 0.04))
+    found = point_distances(points, rotations, centers, boxes, 1.0)
+    capped = point_distances(points, rotations, centers, boxes, 0.01)
+    for g in range(40):
+        local = ((points - centers[g]) @ rotations[g])[:, None]
+        nearest = np.clip(local, boxes[g, :, :3], boxes[g, :, 3:])
+        np.testing.assert_allclose(found[g], np.linalg.norm(local - nearest, axis=2).min(), atol=1e-12)
+    np.testing.assert_allclose(capped, np.minimum(found, 0.01), atol=1e-12)
+    np.testing.assert_array_equal(found == 0.0, point_collisions(points, rotations, centers, boxes) >= 0)
 
 
 def test_the_verdict_moves_with_everything():

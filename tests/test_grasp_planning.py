@@ -14,7 +14,9 @@ from aerograsp_env.interfaces import UNIT_TOLERANCE
 from aerograsp_env.sim.depth_view import DepthCameraConfig, partial_view
 from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping.antipodal import closing_angles, line_distance
-from baselines.grasping.planning import CONTEXT, WEIGHTS, PlannerConfig, estimate_object, propose, ranking, usable
+from baselines.grasping.clearance import swept_boxes
+from baselines.grasping.planning import PlannerConfig, estimate_object, propose, usable
+from baselines.grasping.ranking import CONTEXT, CROWDED, TERMS, WEIGHTS, ranking, terms
 
 EYE = np.array([0.0, 0.0, 0.5])
 GRIPPER = GripperConfig()
@@ -266,25 +268,41 @@ def test_the_context_says_what_its_names_say(proposals):
     assert np.isfinite(found.context).all()
 
 
-def test_the_score_is_the_weighted_sum_of_the_context(proposals):
+def test_the_score_is_the_weighted_sum_of_what_is_known(proposals):
     view: View = proposals[0]
     found = proposals[1]
     columns = dict(zip(CONTEXT, found.context.T, strict=True))
     columns["pfc"] = np.log(np.maximum(columns["pfc"], 1e-3))
-    assert set(WEIGHTS) <= set(CONTEXT)
+    for name in ("closing_to_view", "closing_to_up"):
+        columns[f"{name}_squared"] = columns[name] ** 2
+    columns["crowding"] = np.exp(-found.clearance / CROWDED)
+    assert tuple(columns) == TERMS and set(WEIGHTS) <= set(TERMS)
+    np.testing.assert_allclose(terms(found.context, found.clearance), np.stack(list(columns.values()), axis=1))
     expected = sum(weight * columns[name] for name, weight in WEIGHTS.items())
     np.testing.assert_allclose(found.score, expected, atol=1e-9)
-    np.testing.assert_allclose(ranking(found.context), found.score, atol=1e-9)
+    np.testing.assert_allclose(ranking(found.context, found.clearance), found.score, atol=1e-9)
     nearest = propose(*view, np.random.default_rng(3), PlannerConfig(weights={"line_distance": -1.0}))
     assert (np.diff(nearest.context[:, CONTEXT.index("line_distance")]) >= 0.0).all()
     np.testing.assert_array_equal(np.sort(nearest.pfc), np.sort(found.pfc))  # the same grasps in another order
+
+
+def test_the_clearance_is_that_of_fingers_and_palm_from_the_seen_points_at_most(proposals):
+    view, found = proposals
+    c, far = found.candidates, 0.03
+    assert (found.clearance >= 0.0).all() and (found.clearance <= far).all() and np.ptp(found.clearance) > 0.002
+    boxes = swept_boxes(GRIPPER, c.widths, c.contact_widths)[:, [1, 3, 4]]
+    rotations = np.stack([c.closing_axes, np.cross(c.approach_axes, c.closing_axes), c.approach_axes], axis=2)
+    for g in range(0, len(c), 7):
+        local = ((view.points - c.centers[g]) @ rotations[g])[:, None]
+        apart = np.maximum(np.maximum(boxes[g, :, :3] - local, local - boxes[g, :, 3:]), 0.0)
+        assert found.clearance[g] <= min(np.linalg.norm(apart, axis=2).min(), far) + 1e-9  # the surface may be nearer
 
 
 def test_equal_seeds_propose_equal_grasps_and_other_seeds_others(proposals):
     view: View = proposals[0]
     found = proposals[1]
     again, other = (propose(*view, np.random.default_rng(seed)) for seed in (3, 4))
-    for name in ("score", "pfc", "context"):
+    for name in ("score", "pfc", "context", "clearance"):
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
     np.testing.assert_array_equal(again.candidates.centers, found.candidates.centers)
     assert not np.array_equal(other.candidates.centers[:5], found.candidates.centers[:5])
@@ -297,6 +315,7 @@ def test_taking_some_keeps_their_rows_together(proposals):
     assert len(some) == 3 and some.estimate is found.estimate
     np.testing.assert_array_equal(some.score, found.score[rows])
     np.testing.assert_array_equal(some.context, found.context[rows])
+    np.testing.assert_array_equal(some.clearance, found.clearance[rows])
     np.testing.assert_array_equal(some.grasp(1).center, found.grasp(2).center)
     assert len(found.take(np.zeros(len(found), dtype=bool))) == 0
 

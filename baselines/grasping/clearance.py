@@ -23,6 +23,8 @@ TOLERANCE = 0.0005
 """[m] Penetration that is forgiven."""
 APPROACH = 0.12
 """[m] How far back the gripper starts."""
+FINGERS = (1, 3)
+"""Which of the swept boxes are the open fingers'."""
 PALM = 4
 """Which of the swept boxes is the palm's; the others are pads and fingers."""
 
@@ -107,6 +109,36 @@ def point_collisions(points: Array, rotations: Array, centers: Array, boxes: Arr
     """
     arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (points, rotations, centers, boxes))
     return np.asarray(_first_point_hit(*arrays))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _least_distances(points, rotations, centers, boxes):
+    found = np.empty(len(centers))
+    for g in range(len(centers)):
+        r, least = rotations[g], np.inf
+        for n in range(len(points)):
+            x, y, z = points[n, 0] - centers[g, 0], points[n, 1] - centers[g, 1], points[n, 2] - centers[g, 2]
+            u = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+            v = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+            w = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+            for k in range(boxes.shape[1]):
+                b = boxes[g, k]
+                du, dv, dw = max(b[0] - u, u - b[3], 0.0), max(b[1] - v, v - b[4], 0.0), max(b[2] - w, w - b[5], 0.0)
+                least = min(least, du * du + dv * dv + dw * dw)
+        found[g] = np.sqrt(least)
+    return found
+
+
+def point_distances(points: Array, rotations: Array, centers: Array, boxes: Array, limit: float) -> Array:
+    """Distance from the boxes of each grasp to the nearest point: (G,) [m], 0 inside of one and `limit` at most.
+
+    Args:
+        points, rotations, centers: as `point_collisions` has them.
+        boxes: (G, K, 6) lower and upper corners in the gripper's frame [m].
+        limit: [m], of what is told apart.
+    """
+    arrays = (np.ascontiguousarray(array, dtype=np.float64) for array in (points, rotations, centers, boxes))
+    return np.minimum(_least_distances(*arrays), limit)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -18,57 +17,15 @@ from aerograsp_env.interfaces import Grasp
 from aerograsp_env.sim.gripper import GripperConfig
 from baselines.grasping.antipodal import closing_angles, line_distance
 from baselines.grasping.candidates import GraspCandidates
-from baselines.grasping.clearance import point_collisions, swept_boxes
+from baselines.grasping.clearance import FINGERS, PALM, point_collisions, point_distances, swept_boxes
 from baselines.grasping.contacts import Array
 from baselines.grasping.on_gpis import grasps_on_gpis, surface_points
+from baselines.grasping.ranking import CONTEXT, TERMS, WEIGHTS, ranking
 from baselines.objects import GPIS, Constant, Prior, SquaredExponential, fit_ellipsoid
 from baselines.objects.observations import check_points
 from baselines.objects.sampling import farthest_point_indices
 
-CONTEXT = (
-    "pfc",
-    "closing_angle",
-    "line_distance",
-    "centre_distance",
-    "width",
-    "deviation_first",
-    "deviation_second",
-    "unseen_first",
-    "unseen_second",
-    "approach_to_view",
-    "closing_to_view",
-    "approach_to_up",
-    "closing_to_up",
-    "size",
-    "slenderness",
-    "tightness",
-    "room",
-    "above",
-    "aside",
-)
-"""What is known of a candidate beside the points, in the order of `Proposals.context`."""
-
-WEIGHTS: Mapping[str, float] = MappingProxyType(
-    {
-        "pfc": 0.5,  # of its logarithm
-        "closing_angle": -2.2,  # [1/rad]
-        "aside": -56.0,  # [1/m]
-        "above": 12.0,
-        "centre_distance": -15.0,
-        "deviation_first": -130.0,
-        "deviation_second": -27.0,
-        "approach_to_view": -0.53,
-        "width": 25.0,
-        "room": 40.0,
-        "closing_to_up": 1.5,
-    }
-)
-"""What each of `CONTEXT` counts in the ranking, in log-odds of holding.
-
-Calibrated by logistic regression on 9 600 grasps of the training families' objects that the physics labelled. Beside
-angle and deviation the probability, which saturates, told nothing more there; its weight is set by hand.
-"""
-
+_FAR = 0.03  # [m] clearance from which it makes no difference
 _LATTICE = 1500  # nodes at which it is asked what is inside, for the centre of mass
 _LEAST_SPREAD = 1e-4  # [m] root mean square distance of points from their centroid
 _LEAST_BREADTH = 1e-4  # of a cloud, in lengths of it
@@ -99,7 +56,7 @@ class PlannerConfig:
     room: float = 0.005  # [m] that is little
     weights: Mapping[str, float] = field(
         default_factory=lambda: WEIGHTS
-    )  # of the ranking; names of `CONTEXT`, others count nothing
+    )  # of the ranking; names of `TERMS`, others count nothing
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -109,8 +66,8 @@ class PlannerConfig:
                     raise ValueError(f"prior: expected 'ellipsoid' or 'constant', got {value!r}")
                 continue
             if name == "weights":
-                if unknown := sorted(set(value) - set(CONTEXT)):
-                    raise ValueError(f"weights: expected names of {', '.join(CONTEXT)}, got {', '.join(unknown)}")
+                if unknown := sorted(set(value) - set(TERMS)):
+                    raise ValueError(f"weights: expected names of {', '.join(TERMS)}, got {', '.join(unknown)}")
                 if not all(math.isfinite(weight) for weight in value.values()):
                     raise ValueError(f"weights: expected finite numbers, got {dict(value)}")
                 continue
@@ -142,6 +99,7 @@ class Proposals:
     pfc: Array  # (G,) probability of force closure
     score: Array  # (G,) what they are ranked by
     context: Array  # (G, F), see `CONTEXT`
+    clearance: Array  # (G,) [m] of the open fingers and palm from what was seen and from the estimated surface
     estimate: ObjectEstimate
 
     def __len__(self) -> int:
@@ -150,7 +108,9 @@ class Proposals:
     def take(self, rows: Any) -> Proposals:
         """Some of them: indices or a mask, in the order given."""
         found = self.candidates.take(rows)
-        return Proposals(found, self.pfc[rows], self.score[rows], self.context[rows], self.estimate)
+        return Proposals(
+            found, self.pfc[rows], self.score[rows], self.context[rows], self.clearance[rows], self.estimate
+        )
 
     def grasp(self, index: int) -> Grasp:
         """One of them."""
@@ -254,37 +214,41 @@ def propose(
     )
     pfc = np.asarray(found.score)
     if not len(found):
-        return Proposals(found, pfc, pfc, np.empty((0, len(CONTEXT))), estimate)
-    tight = _tightness(found, estimate, points, gripper, config.room)
+        return Proposals(found, pfc, pfc, np.empty((0, len(CONTEXT))), pfc, estimate)
+    body = np.concatenate([points, _surface(estimate)])
+    tight, clearance = _tightness(found, body, gripper, config.room), _clearance(found, body, gripper)
     context = _context(found, tight, estimate, viewpoint)
-    score = ranking(context, config.weights)
+    score = ranking(context, clearance, config.weights)
     order = np.argsort(-score, kind="stable")
-    return Proposals(found.take(order), pfc[order], score[order], context[order], estimate)
+    return Proposals(found.take(order), pfc[order], score[order], context[order], clearance[order], estimate)
 
 
-def ranking(context: Array, weights: Mapping[str, float] = WEIGHTS) -> Array:
-    """Scores (G,) of candidates by what is known of them (G, F), see `CONTEXT`; of "pfc" the logarithm counts."""
-    known = context.copy()
-    known[:, CONTEXT.index("pfc")] = np.log(np.maximum(context[:, CONTEXT.index("pfc")], 1e-3))
-    return known @ np.array([weights.get(name, 0.0) for name in CONTEXT])
-
-
-def _tightness(
-    found: GraspCandidates, estimate: ObjectEstimate, points: Array, gripper: GripperConfig, room: float
-) -> Array:
-    """How many of two grippers, grown by `room` [m] and by twice that, would touch the estimated surface: (G,)."""
+def _surface(estimate: ObjectEstimate) -> Array:
+    """Points on the estimated surface (K, 3)."""
     data = estimate.points
     margin = 0.25 * float(np.ptp(data, axis=0).max())
-    surface = surface_points(estimate.model, data.min(axis=0) - margin, data.max(axis=0) + margin, 4000)
-    body = np.concatenate([points, surface])
+    return surface_points(estimate.model, data.min(axis=0) - margin, data.max(axis=0) + margin, 4000)
+
+
+def _rotations(found: GraspCandidates) -> Array:
     x, z = found.closing_axes, found.approach_axes
-    rotations = np.stack([x, np.cross(z, x), z], axis=2)
+    return np.stack([x, np.cross(z, x), z], axis=2)
+
+
+def _tightness(found: GraspCandidates, body: Array, gripper: GripperConfig, room: float) -> Array:
+    """How many of two grippers, grown by `room` [m] and by twice that, would touch the body (N, 3): (G,)."""
     hits = np.zeros(len(found))
     for grown in (room, 2.0 * room):
         boxes = swept_boxes(gripper, found.widths, found.contact_widths, tolerance=-grown)
         boxes[:, 5:] = boxes[:, 2:4]  # not the closing fingers: they are meant to come close
-        hits += point_collisions(body, rotations, found.centers, boxes) >= 0
+        hits += point_collisions(body, _rotations(found), found.centers, boxes) >= 0
     return hits
+
+
+def _clearance(found: GraspCandidates, body: Array, gripper: GripperConfig) -> Array:
+    """Distance of the open fingers and the palm, as they come, from the body (N, 3): (G,) [m], `_FAR` at most."""
+    boxes = swept_boxes(gripper, found.widths, found.contact_widths)[:, [*FINGERS, PALM]]
+    return point_distances(body, _rotations(found), found.centers, boxes, _FAR)
 
 
 def _context(found: GraspCandidates, tight: Array, estimate: ObjectEstimate, viewpoint: Array) -> Array:

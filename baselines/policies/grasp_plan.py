@@ -2,7 +2,7 @@
 
 | policy | candidates | ranking |
 | --- | --- | --- |
-| `gpis` | implicit surface, its prior a fitted ellipsoid | force closure, distance to the centre of mass, room |
+| `gpis` | implicit surface, its prior a fitted ellipsoid | closure, distance to the centre of mass, clearance |
 | `gpis-constant` | the same with a constant prior | the same |
 | `cloud` | rays through the seen points | friction to spare, distance to the middle of the points |
 | `com` | as `gpis`, but whatever the friction cone says | distance to the centre of mass only |
@@ -34,7 +34,8 @@ from baselines.grasping.antipodal import closing_angles, line_distance
 from baselines.grasping.candidates import GraspCandidates
 from baselines.grasping.contacts import Array
 from baselines.grasping.on_cloud import FEWEST
-from baselines.grasping.planning import CONTEXT, PlannerConfig, Proposals, propose, usable
+from baselines.grasping.planning import PlannerConfig, Proposals, propose, usable
+from baselines.grasping.ranking import CONTEXT
 
 __all__ = ["CONTEXT", "GraspPolicy", "MeshOracle", "planner"]
 
