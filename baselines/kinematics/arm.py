@@ -54,15 +54,15 @@ class Arm:
         count = len(placements)
         if placements.ndim != 3 or count == 0:
             raise ValueError(f"placements: expected shape (n, 4, 4), n > 0, got {placements.shape}")
-        axes = _exactly(self.axes, (count, 3), "axes")
+        axes = exactly(self.axes, (count, 3), "axes")
         lengths = np.linalg.norm(axes, axis=1)
         if np.any(np.abs(lengths - 1.0) > 1e-6):
             raise ValueError(f"axes: expected unit vectors, got lengths {lengths.tolist()}")
-        limits = _exactly(self.limits, (count, 2), "limits")
+        limits = exactly(self.limits, (count, 2), "limits")
         if np.any(limits[:, 0] >= limits[:, 1]):
             raise ValueError(f"limits: expected lower < upper for every joint, got {limits.tolist()}")
         T_tool, T_base = (
-            _exactly(check_transform(T, name), (4, 4), name)
+            exactly(check_transform(T, name), (4, 4), name)
             for T, name in ((self.T_tool, "T_tool"), (self.T_base, "T_base"))
         )
         names = tuple(self.names) or tuple(f"joint{i}" for i in range(count))
@@ -183,7 +183,12 @@ class Arm:
         return cls(read.placements, read.axes, read.limits, read.T_tool, names=read.names)
 
 
-def _exactly(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+def exactly(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
+    """`value` as a finite float64 array of this shape and no other.
+
+    Raises:
+        ValueError: naming the argument, the expected and the actual shape, or the first value that is not finite.
+    """
     array = as_array(value, shape, name)
     if array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")

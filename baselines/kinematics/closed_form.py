@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.sim.kernel_math import compiled
-from aerograsp_env.spatial import as_array
-from baselines.kinematics.arm import Arm
+from baselines.kinematics.arm import Arm, exactly
 from baselines.kinematics.chain import forward_kernel, task_kernel
 
 Array = NDArray[np.float64]
@@ -77,10 +76,7 @@ def reference_angles(arm: Arm, reference: ArrayLike | None) -> Array:
     if reference is None:
         middle: Array = arm.limits.mean(axis=1)
         return middle
-    found = as_array(reference, (arm.n,), "reference")
-    if found.shape != (arm.n,):
-        raise ValueError(f"reference: expected shape ({arm.n},), got {found.shape}")
-    return found
+    return exactly(reference, (arm.n,), "reference")
 
 
 @compiled

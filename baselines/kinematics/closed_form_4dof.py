@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.sim.kernel_math import compiled
 from aerograsp_env.spatial import check_transform
-from baselines.kinematics.arm import Arm
+from baselines.kinematics.arm import Arm, exactly
 from baselines.kinematics.chain import POSITION, POSITION_ROLL, forward_kernel, roll_kernel
 from baselines.kinematics.closed_form import (
     TOLERANCE,
@@ -45,7 +45,7 @@ def branches_4dof(arm: Arm, T_target: ArrayLike, reference: ArrayLike | None = N
             (n,) finite angles.
     """
     shape = four_joints(arm)
-    target = np.ascontiguousarray(check_transform(T_target, "T_target"))
+    target = np.ascontiguousarray(exactly(check_transform(T_target, "T_target"), (4, 4), "T_target"))
     found = np.empty((4, 4))
     count = branches_kernel(
         arm.chain, arm.limits, shape.axes, shape.shoulder, shape.elbow, shape.point, shape.T_tool, target,

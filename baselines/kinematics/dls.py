@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.sim.kernel_math import compiled
-from aerograsp_env.spatial import as_array
-from baselines.kinematics.arm import Arm
+from baselines.kinematics.arm import Arm, exactly
 from baselines.kinematics.chain import (
     bounded_step,
     gram_kernel,
@@ -55,11 +54,11 @@ def servo_step(
         ValueError: q or the twist of another shape or not finite, or a step limit, the damping or the threshold not
             positive.
     """
-    q = as_array(q, (arm.n,), "q")
-    twist = np.asarray(twist, np.float64)
-    rows = 3 if twist.shape == (3,) else 6
-    twist = as_array(twist, (rows,), "twist")
-    steps = np.broadcast_to(np.asarray(step_limits, np.float64), (arm.n,))
+    q = exactly(q, (arm.n,), "q")
+    rows = 3 if np.shape(twist) == (3,) else 6
+    error = np.zeros(6)
+    error[:rows] = exactly(twist, (rows,), "twist")
+    steps = np.full(arm.n, step_limits) if np.ndim(step_limits) == 0 else exactly(step_limits, (arm.n,), "step_limits")
     if not (np.isfinite(steps).all() and (steps > 0.0).all()):
         raise ValueError(f"step_limits: expected positive angles, got {steps.tolist()}")
     for name, value in (("damping", damping), ("threshold", threshold)):
@@ -67,14 +66,12 @@ def servo_step(
             raise ValueError(f"{name}: expected a positive number, got {value}")
     q_next = np.empty(arm.n)
     length = arm.length
-    error = np.zeros(6)
-    error[:rows] = twist
     dls_step(
         arm.chain,
         arm.limits,
-        steps.copy(),
+        steps,
         weights(arm),
-        q.copy(),
+        q,
         error,
         rows,
         damping * length,

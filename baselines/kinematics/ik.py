@@ -8,8 +8,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aerograsp_env.spatial import as_array, check_transform
-from baselines.kinematics.arm import Arm
+from aerograsp_env.spatial import check_transform
+from baselines.kinematics.arm import Arm, exactly
 from baselines.kinematics.chain import POSE, POSITION, POSITION_ROLL, forward_kernel, task_kernel
 from baselines.kinematics.closed_form_4dof import branches_4dof
 from baselines.kinematics.closed_form_6dof import branches_6dof
@@ -51,9 +51,9 @@ def solve_ik(
     about the approach axis (the tool's z): what remains of the target's rotation after the smallest rotation that
     aligns the approach axes, which is what an arm of four joints can choose (thesis section 5.2).
 
-    Methods: "dls" descends from q0, then from deterministic samples of the joint ranges (`baselines.kinematics.search`),
-    for any arm and task. "analytic" is the closed form of arms of four joints, for any task; "global" that of arms of six joints with
-    a spherical wrist, for poses: both weigh every branch within the limits and take the one nearest to q0 (`jump` says
+    Methods: "dls" descends from q0, then from deterministic samples of the joint ranges, for any arm and task.
+    "analytic" is the closed form of arms of four joints, for any task; "global" that of arms of six joints with a
+    spherical wrist, for poses: both weigh every branch within the limits and take the one nearest to q0 (`jump` says
     how near). Where no branch fits, the damped search finds the nearest configuration.
 
     Args:
@@ -69,9 +69,7 @@ def solve_ik(
         ValueError: a target that is not a rigid transform (a reflection, NaN, …), q0 of another shape or not finite, an
             unknown method or task, a tolerance that is not positive, or a closed form for an arm or task without one.
     """
-    target = np.ascontiguousarray(check_transform(T_target, "T_target"))
-    if target.shape != (4, 4):
-        raise ValueError(f"T_target: expected shape (4, 4), got {target.shape}")
+    target = np.ascontiguousarray(exactly(check_transform(T_target, "T_target"), (4, 4), "T_target"))
     if task not in TASKS:
         raise ValueError(f"task: expected one of {', '.join(TASKS)}, got {task!r}")
     if method not in METHODS:
@@ -82,9 +80,7 @@ def solve_ik(
     start = arm.limits.mean(axis=1)
     given: Array | None = None
     if q0 is not None:
-        given = as_array(q0, (arm.n,), "q0")
-        if given.shape != (arm.n,):
-            raise ValueError(f"q0: expected shape ({arm.n},), got {given.shape}")
+        given = exactly(q0, (arm.n,), "q0")
         start = np.clip(given, arm.limits[:, 0], arm.limits[:, 1])
     code, tolerances = TASKS[task], (position_tolerance, orientation_tolerance)
     count = 0
