@@ -31,6 +31,7 @@ TABLES = {
     "grasp-judge": Table("agents.grasp_judge_gate", "grasps that must hold and grasps that must not, by the physics"),
     "table-5.3": Table("agents.table_5_3", "holding error by GPS, vision and tool (thesis Table 5.3)", counts=True),
     "step-response": Table("agents.step_response", "velocity steps under PX4's gains", draws=True),
+    "figure-5.9": Table("agents.figure_5_9", "where the two arms reach (thesis figure 5.9)", draws=True),
     "figure-5.15": Table("agents.figure_5_15", "the tool's workspace quality (thesis figure 5.15)", draws=True),
     "firefly-motion": Table(
         "agents.firefly_motion", "motion beside a real Firefly's flight (EuRoC data set)", real=True

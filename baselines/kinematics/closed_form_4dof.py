@@ -25,7 +25,7 @@ from baselines.kinematics.closed_form import (
     reference_angles,
     structure,
 )
-from baselines.kinematics.subproblems import shoulder_angles
+from baselines.kinematics.subproblems import out_of_reach, shoulder_angles
 
 Array = NDArray[np.float64]
 
@@ -76,6 +76,8 @@ def branches_kernel(chain, limits, axes, shoulder, elbow, point, T_tool, target,
     """Writes the configurations into `found` (4, 4); returns how many."""
     q, tool, row = np.empty(4), np.empty((3, 4)), np.empty(3)
     position = (target[0, 3], target[1, 3], target[2, 3])
+    if out_of_reach(shoulder, elbow, point, position, tolerance):
+        return 0
     along = 0.0  # 1 if the approach axis points along the last joint's, else −1
     for r in range(3):
         along += axes[3, r] * T_tool[r, 2]

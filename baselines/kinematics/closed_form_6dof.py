@@ -24,7 +24,7 @@ from baselines.kinematics.closed_form import (
     reference_angles,
     structure,
 )
-from baselines.kinematics.subproblems import angle_between, cross, rotated, shoulder_angles, two_angles
+from baselines.kinematics.subproblems import angle_between, cross, out_of_reach, rotated, shoulder_angles, two_angles
 
 Array = NDArray[np.float64]
 
@@ -83,6 +83,8 @@ def branches_kernel(chain, limits, axes, shoulder, elbow, point, T_tool, target,
     center = np.empty(3)
     for r in range(3):
         center[r] = target[r, 3] + target[r, 0] * offset[0] + target[r, 1] * offset[1] + target[r, 2] * offset[2]
+    if out_of_reach(shoulder, elbow, point, center, tolerance):
+        return 0
     # how the last axis, and one across it, must point: R_target R_tool(0)ᵀ of what they do at zero
     last = axes[5]
     across = cross(axes[4], last)

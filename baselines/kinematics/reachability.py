@@ -108,7 +108,7 @@ def reachability(
         given: tuple[object, ...] = (*closed_form_4dof.four_joints(arm), middle, *axes, towards, math.cos(cone))
     else:
         serve = _serve_six
-        given = (*closed_form_6dof.six_joints(arm), middle, *axes, _frames(towards, rolls), arm.length)
+        given = (*closed_form_6dof.six_joints(arm), middle, *axes, _frames(towards, rolls))
     serve(arm.chain, arm.limits, *given, served)
     return Reachability(axes[0], axes[1], axes[2], towards, served)
 
@@ -127,14 +127,11 @@ def _frames(towards: Array, rolls: int) -> Array:
 
 
 @compiled
-def _serve_six(chain, limits, axes, shoulder, elbow, point, T_tool, middle, x, y, z, frames, length, served):
+def _serve_six(chain, limits, axes, shoulder, elbow, point, T_tool, middle, x, y, z, frames, served):
     found, target = np.empty((8, 6)), np.eye(4)
     for i in range(len(x)):
         for j in range(len(y)):
             for k in range(len(z)):
-                far = (x[i] - shoulder[0]) ** 2 + (y[j] - shoulder[1]) ** 2 + (z[k] - shoulder[2]) ** 2
-                if far > length * length:
-                    continue
                 target[0, 3], target[1, 3], target[2, 3] = x[i], y[j], z[k]
                 for a in range(frames.shape[0]):
                     for b in range(frames.shape[1]):

@@ -95,3 +95,11 @@ def shoulder_angles(axes, shoulder, elbow, point, target, reference, bend, lean)
     reach = (bent[0] + elbow[0] - shoulder[0], bent[1] + elbow[1] - shoulder[1], bent[2] + elbow[2] - shoulder[2])
     q0, q1 = two_angles(axes[0], axes[1], reach, goal, reference[0], reference[1], lean)
     return q0, q1, q2
+
+
+@compiled
+def out_of_reach(shoulder, elbow, point, target, tolerance):
+    """Whether a target is farther from the shoulder than both links in line, or nearer than folded, so nothing fits."""
+    upper, fore, goal = minus(elbow, shoulder), minus(point, elbow), minus(target, shoulder)
+    a, b, distance = math.sqrt(dot(upper, upper)), math.sqrt(dot(fore, fore)), math.sqrt(dot(goal, goal))
+    return distance > a + b + tolerance or distance < abs(a - b) - tolerance
