@@ -25,11 +25,11 @@ GAP = 2e-4  # [m] at which an object is set down above the seat
 CLEAR = 1e-3  # [m] from the rim
 STEADY = 2e-3  # [m] that gravity's line must pass within the facet that an object stands on
 HOLDING = 1.15  # times the slope's tangent: friction that surely holds an object on it
-WINDOW = 0.5  # [s] for which an object that has come to rest …
+WINDOW = 0.3  # [s] for which an object that has come to rest …
 STILL, STILL_TURN = 2e-4, math.radians(0.2)  # … moves [m] and turns [rad] less than this
 LONGEST = 4.0  # [s] after which an object that still moves is set down anew
 ATTEMPTS = 12
-HEADINGS = np.arange(48) * (2.0 * np.pi / 48)
+HEADINGS: Array = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 TURNED = math.radians(5.0)  # a given resting pose may lean by this in the end
 
 
@@ -58,7 +58,7 @@ class _Spot(NamedTuple):
 
 def possible_poses(item: GraspObject, support: Support) -> tuple[RestingPose, ...]:
     """The item's resting poses in which it fits on the seat, and does not tip on its slope at one heading or more."""
-    return tuple(pose for pose in resting_poses(item) if any(_spot(item, support, pose, a) for a in HEADINGS))
+    return tuple(pose for pose in resting_poses(item) if _first_spot(item, support, pose, HEADINGS) is not None)
 
 
 def place(
@@ -72,10 +72,10 @@ def place(
 ) -> Array:
     """T_world_object of the item at rest on the support.
 
-    A resting pose is drawn by its probability among those that are possible there, its heading uniformly, its centre
-    from a square around the seat's; what friction does not hold on a slope starts at the lower rim. The item is then
-    left to itself until it lies still, so what comes back is free of collisions (MuJoCo's contacts yield by less than
-    0.5 mm) and stays. An item that no pose keeps from rolling down ends at the rim.
+    A resting pose is drawn by its probability among those that are possible there, then a heading at which it does not
+    tip, and the place of its centre from a square around the seat's. Where friction does not hold the item on the slope
+    or no pose keeps it from rolling, it is let go next to the lower rim, and what comes back is how it lies in the end.
+    Either way it touches the seat within 0.2 mm, and stays.
 
     Args:
         pose: one of `resting_poses(item)`, to be the only one.
@@ -83,33 +83,49 @@ def place(
         spread: half the side of that square [m].
 
     Raises:
-        PlacementError: none of a dozen attempts came to rest on the seat.
+        PlacementError: the item does not fit on the seat, or none of a dozen attempts came to rest on it.
     """
     if not 0.0 <= spread < math.inf:
         raise ValueError(f"spread: expected a length of zero or more [m], got {spread}")
+    if heading is not None and not math.isfinite(heading):
+        raise ValueError(f"heading: expected an angle [rad], got {heading}")
     poses = resting_poses(item) if pose is None else (pose,)
-    headings = HEADINGS if heading is None else np.array([heading])
-    spots = [[spot for a in headings if (spot := _spot(item, support, p, a))] for p in poses]
-    rolls = not any(spots)
-    if rolls:
-        spots = [[spot for a in headings if (spot := _spot(item, support, p, a, tip=True))] for p in poses]
-    weights = np.array([p.probability * bool(found) for p, found in zip(poses, spots, strict=True)])
-    if weights.sum() == 0.0:
-        raise PlacementError(f"item: {item.name} does not fit on the seat of {support.name}")
-    slides = rolls or support.contact_friction(item) < HOLDING * math.tan(support.slope)
-    for _ in range(ATTEMPTS):
-        found = spots[int(rng.choice(len(poses), p=weights / weights.sum()))]
-        spot = found[int(rng.integers(len(found)))]
-        center = np.clip(rng.uniform(-spread, spread, 2), spot.low, spot.high)
-        if slides:
-            center[0] = spot.high[0]
-        start = support.T_world_seat @ _translation(*center, GAP) @ _turn(spot.heading) @ spot.pose.T_support_object
-        motion = settle(item, support, start)
-        middle = motion.T_world_object[:3, :3] @ item.center_of_mass + motion.T_world_object[:3, 3]
-        upright = pose is None or _lean(start, motion.T_world_object, support) < TURNED
-        if motion.still and upright and support.contains(middle):
-            return motion.T_world_object
-    raise PlacementError(f"item: {item.name} did not come to rest on {support.name} in {ATTEMPTS} attempts")
+    slides = support.contact_friction(item) < HOLDING * math.tan(support.slope)
+    for rolls in (False, True):
+        weights = np.array([p.probability for p in poses])
+        attempts = 0
+        while weights.any() and attempts < ATTEMPTS:
+            index = int(rng.choice(len(poses), p=weights / weights.sum()))
+            turns = (
+                rng.permutation(HEADINGS) + rng.uniform(0.0, HEADINGS[1]) if heading is None else np.array([heading])
+            )
+            spot = _first_spot(item, support, poses[index], turns, rolls)
+            if spot is None:
+                weights[index] = 0.0
+                continue
+            attempts += 1
+            found = _set_down(item, support, spot, rng.uniform(-spread, spread, 2), slides or rolls, pose is not None)
+            if found is not None:
+                return found
+        if attempts:
+            raise PlacementError(f"item: {item.name} did not come to rest on {support.name} in {attempts} attempts")
+    raise PlacementError(f"item: {item.name} does not fit on the seat of {support.name}")
+
+
+def _set_down(
+    item: GraspObject, support: Support, spot: _Spot, center: Array, free: bool, keep_pose: bool
+) -> Array | None:
+    """T_world_object of the item set down there; if it is `free` to move, where it ends, or None if that is no rest."""
+    x, y = np.clip(center, spot.low, spot.high)
+    onto = _turn(spot.heading) @ spot.pose.T_support_object
+    if not free:
+        return np.asarray(support.T_world_seat @ _translation(x, y, 0.0) @ onto)
+    start = support.T_world_seat @ _translation(spot.high[0], y, GAP) @ onto
+    motion = settle(item, support, start)
+    end = motion.T_world_object
+    middle = end[:3, :3] @ item.center_of_mass + end[:3, 3]
+    fallen = keep_pose and _lean(start, end, support) > TURNED
+    return end if motion.still and not fallen and support.contains(middle) else None
 
 
 def settle(item: GraspObject, support: Support, T_world_object: Array, longest: float = LONGEST) -> Motion:
@@ -161,14 +177,20 @@ def _model(item: GraspObject, half_size: tuple[float, float], rim: float, fricti
 </mujoco>""")
 
 
-def _spot(item: GraspObject, support: Support, pose: RestingPose, heading: float, tip: bool = False) -> _Spot | None:
-    """Where the item may stand so; None where it would tip (unless it may) or does not fit."""
-    if not tip and pose.margin(support.slope, -heading) < STEADY:
-        return None
-    outline = _outline(item, pose, support.rim + CLEAR) @ _turn(heading)[:2, :2].T
+def _first_spot(
+    item: GraspObject, support: Support, pose: RestingPose, headings: Array, tips: bool = False
+) -> _Spot | None:
+    """Where the item may stand so, at the first heading at which it fits and does not tip (or may); else None."""
+    outline = _outline(item, pose, support.rim + CLEAR)
     room = np.asarray(support.half_size) - CLEAR
-    low, high = -room - outline.min(axis=0), room - outline.max(axis=0)
-    return _Spot(pose, heading, low, high) if (low <= high).all() else None
+    for heading in headings:
+        if not tips and pose.margin(support.slope, -heading) < STEADY * (support.slope > 0.0):
+            continue
+        turned = outline @ _turn(heading)[:2, :2].T
+        low, high = -room - turned.min(axis=0), room - turned.max(axis=0)
+        if (low <= high).all():
+            return _Spot(pose, heading, low, high)
+    return None
 
 
 def _outline(item: GraspObject, pose: RestingPose, height: float) -> Array:

@@ -1,7 +1,7 @@
 """What objects stand on in the grasping worlds: flat and inclined tables, and a pipe with a saddle.
 
-A support is a flat seat in the world and the boxes and cylinders that make it. A round object rolls off a bare pipe, and
-off a slope, so the inclined table and the saddle have a rim around their seat.
+A support is a flat seat in the world and the boxes and cylinders that make it. A round object rolls off a bare pipe,
+and off a slope, so the inclined table and the saddle have a rim around their seat.
 
 Seat frame: origin in the middle of the seat, z its outward normal, x down the slope (the heading of a level one).
 """
@@ -21,6 +21,7 @@ from aerograsp_env.sim.objects import GraspObject
 Array = NDArray[np.float64]
 
 SLAB = 0.030  # [m] thickness of a table's top
+COLUMN = 0.050  # [m] radius of the column under a slope
 PLATE = 0.010  # [m] thickness of a saddle's plate
 RIM_WIDTH = 0.010  # [m]
 STEEPEST = math.radians(40.0)  # what objects still rest on
@@ -144,13 +145,13 @@ def inclined_table(
     """
     T = _seat(height, center, heading, angle)
     half = _half(size)
-    low = 0.5 * height  # no corner reaches the floor
-    reach = math.hypot(*half) * math.sin(angle) + SLAB
+    reach = (half[0] + RIM_WIDTH) * math.sin(angle) + SLAB * math.cos(angle)  # of the lowest edge below the middle
     _check(height=(height, 0.0, 5.0), friction=(friction, 0.0, 5.0), rim=(rim, 0.0, 0.1))
     if reach > height:
         raise ValueError(f"height: expected {reach:.3g} m or more for a slope of this size, got {height}")
     outer = (half[0] + RIM_WIDTH, half[1] + RIM_WIDTH, 0.5 * SLAB)
-    column = _upright((*center, low), 0.05, low - 0.5 * SLAB / math.cos(angle), _METAL)
+    half_column = 0.5 * (height - COLUMN * math.tan(angle) - 0.3 * SLAB)  # ends within the slab, below the seat
+    column = _upright((*center, half_column), COLUMN, half_column, _METAL)
     solids = [_on(T, outer, (0.0, 0.0, -0.5 * SLAB), _WOOD), *_rim(T, half, rim, SLAB), column]
     return Support("inclined_table", T, half, rim, friction, tuple(solids))
 

@@ -32,7 +32,7 @@ FLOOR, BELT, TOP = 0.035, 0.075, 0.115  # [m] heights above the ground: of the b
 INSET = 0.020  # [m] by which belly and top are narrower than the widest part
 DRIVE_RADIUS, DRIVE_HEIGHT = 0.034, 0.050  # [m]
 HANDLE_RADIUS = 0.011  # [m] of the tube
-HANDLE_DISTANCE, HANDLE_LENGTH, HANDLE_HEIGHT = 0.160, 0.200, 0.105  # [m] of the straight bar
+HANDLE_DISTANCE, HANDLE_LENGTH, HANDLE_HEIGHT = 0.160, 0.200, 0.113  # [m] of the straight bar
 # [m] the tube from within the shell to its bar: outwards, and along the bar
 HANDLE_BEND = ((0.080, 0.095), (0.140, 0.125))
 DRIVE_DENSITY, BELLY_DENSITY, SHELL_DENSITY, HANDLE_DENSITY = 3.0, 1.5, 0.6, 0.6  # relative

@@ -20,8 +20,8 @@ class ObjectMjcf(NamedTuple):
 def object_mjcf(item: GraspObject, name: str = "object", cls: str = "object") -> ObjectMjcf:
     """The item as a free body `name`, whose frame is the object's own, with the free joint `name`.
 
-    Its geoms `name`0, `name`1, … are of the default class `cls`, which says what they collide with. The friction and the
-    number of its directions are the item's; whatever touches it may override them by a higher priority.
+    Its geoms `name`0, `name`1, … are of the default class `cls`, which says what they collide with. The friction is the
+    item's; whatever touches it may override that by a higher priority.
     """
     inertia = np.asarray(item.inertia, dtype=np.float64)
     full = (*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2])

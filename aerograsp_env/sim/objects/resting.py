@@ -1,4 +1,4 @@
-"""How an object can rest on a plane: the facets of its convex hull that it can stand on, and how often it falls on each.
+"""How an object can rest on a plane: the facets of its convex hull that it can stand on, and how often it comes there.
 
 An object dropped in a random orientation and losing its energy at once comes down on the facet of its hull that lies
 below the centre of mass. It stays if the centre of mass is above that facet, and else rolls over the edge it lies
