@@ -1,0 +1,201 @@
+"""Compiled parts of the reaching policy: one control step of any number of rows.
+
+Axes: "level" axes are the body's without roll and pitch; they turn with the vehicle from where it headed when the
+episode began, as the gyroscope tells. Places in them are counted from where the vehicle was then, as its velocity
+estimate tells: dead reckoning, good enough for the fractions of a second over which it is used.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from aerograsp_env.sim.kernel_math import clip, compiled
+from baselines.kinematics.chain import bounded_step, forward_kernel, gram_kernel, jacobian_kernel
+from baselines.kinematics.dls import least_singular_value
+
+JOINTS = 6  # at most
+PAST = 32  # control steps of own motion remembered: the longest delay of an estimate that is made up for
+FOLLOWING_ERROR = 0.35  # [rad] servos' set-points stay this near to their joints
+
+
+class Settings(NamedTuple):
+    """Gains of the servoing. Chosen on validation seeds."""
+
+    gain: float = 15.0  # [1/s] of the reference towards the point
+    speed: float = 0.6  # [m/s] of the reference towards the point, at most
+    share: float = 0.8  # of the joints' rate limits that the reference uses; the rest is for corrections
+    damping: float = 0.05  # λ at a singularity, as a share of the arm's length
+    threshold: float = 0.05  # least singular value below which damping begins, as a share of the arm's length
+    posture_gain: float = 0.5  # [1/s] towards the home configuration, with the motion that leaves the tool in place
+    posture_weight: float = 0.003  # of that motion [m/rad]: well below the Jacobian's singular values
+    sag_gain: float = 0.1  # of a control step's estimate of how far servos give way under load
+    acceleration: float = 0.15  # [m/s²] the point's, unknown, standard deviation
+    noise: float = 0.002  # [m] of an estimate that is processed images
+    exact_noise: float = 0.0001  # [m] of one without delay
+
+
+STATE = np.dtype(
+    [
+        ("started", np.int64),
+        ("step", np.int64),
+        ("heading", np.float64),
+        ("place", np.float64, (3,)),  # of the vehicle, level axes
+        ("past", np.float64, (PAST, 4, 3)),  # R_level_body and place, newest at step % PAST
+        ("age", np.float64),  # of the newest estimate [s]
+        ("seen", np.int64),  # estimates so far
+        ("point", np.float64, (3,)),  # when it was seen, level axes
+        ("velocity", np.float64, (3,)),  # of the point, level axes
+        ("reference", np.float64, (JOINTS,)),
+        ("command", np.float64, (JOINTS,)),  # servo set-points as this policy gave them
+        ("sag", np.float64, (JOINTS,)),  # of set-points against joints that do not move
+    ],
+    align=True,
+)
+
+
+@compiled
+def level_from_body(roll, pitch, heading, out):
+    """R_level_body (3, 3) = Rz(heading) Ry(pitch) Rx(roll)."""
+    cr, sr, cp, sp, ch, sh = (
+        math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch), math.cos(heading), math.sin(heading),
+    )  # fmt: skip
+    out[0, 0], out[0, 1], out[0, 2] = ch * cp, ch * sp * sr - sh * cr, ch * sp * cr + sh * sr
+    out[1, 0], out[1, 1], out[1, 2] = sh * cp, sh * sp * sr + ch * cr, sh * sp * cr - ch * sr
+    out[2, 0], out[2, 1], out[2, 2] = -sp, cp * sr, cp * cr
+
+
+@compiled
+def alpha_beta(interval, acceleration, noise, seen):
+    """Gains (of position, and of velocity times the interval) of a constant-velocity filter.
+
+    The steady ones follow from the tracking index acceleration · interval² / noise (Kalata 1984, "The tracking index"),
+    and the first ones are those of a straight line's least-squares fit to the `seen` estimates.
+    """
+    index = acceleration * interval * interval / noise
+    r = 0.25 * (4.0 + index - math.sqrt(8.0 * index + index * index))
+    alpha = 1.0 - r * r
+    beta = 2.0 * (2.0 - alpha) - 4.0 * math.sqrt(1.0 - alpha)
+    k = float(seen)  # 1 with the first one after the start's
+    return max(alpha, (4.0 * k + 2.0) / ((k + 1.0) * (k + 2.0))), max(beta, 6.0 / ((k + 1.0) * (k + 2.0)))
+
+
+@compiled
+def _dead_reckon(s, step, velocity, gyro, roll, pitch, rotation):
+    """Own motion in the step that has ended; writes R_level_body (3, 3)."""
+    s.heading += step * (math.sin(roll) * gyro[1] + math.cos(roll) * gyro[2]) / math.cos(pitch)
+    level_from_body(roll, pitch, s.heading, rotation)
+    now = s.past[s.step % PAST]
+    for i in range(3):
+        s.place[i] += step * (
+            rotation[i, 0] * velocity[0] + rotation[i, 1] * velocity[1] + rotation[i, 2] * velocity[2]
+        )
+        now[3, i] = s.place[i]
+        for j in range(3):
+            now[i, j] = rotation[i, j]
+
+
+@compiled
+def _track(settings, s, step, age, goal):
+    """The filter of the point's place and velocity, which lives at the time that it was last seen."""
+    fresh = s.seen == 0 or age < s.age + 0.5 * step
+    if fresh:
+        back = min(int(round(age / step)), PAST - 1, s.step)
+        then = s.past[(s.step - back) % PAST]
+        interval = s.age + step - age
+        alpha, beta = 1.0, 0.0
+        if s.seen > 0:
+            noise = settings.noise if age > 0.5 * step else settings.exact_noise
+            alpha, beta = alpha_beta(interval, settings.acceleration, noise, s.seen)
+        for i in range(3):
+            seen = then[3, i] + then[i, 0] * goal[0] + then[i, 1] * goal[1] + then[i, 2] * goal[2]
+            guess = s.point[i] + s.velocity[i] * interval
+            s.point[i] = seen if s.seen == 0 else guess + alpha * (seen - guess)
+            if s.seen > 0:
+                s.velocity[i] += beta / interval * (seen - guess)
+        s.seen += 1
+    s.age = age
+
+
+@compiled
+def _seen_from_body(s, rotation, velocity, gyro, point, drift):
+    """The point as it is now (3,), and how it moves relative to the body (3,), body axes: Rᵀv − v_b − ω × p."""
+    for i in range(3):
+        point[i] = drift[i] = 0.0
+        for j in range(3):
+            point[i] += rotation[j, i] * (s.point[j] + s.velocity[j] * s.age - s.place[j])
+            drift[i] += rotation[j, i] * s.velocity[j]
+    x, y, z = point[0], point[1], point[2]
+    drift[0] -= velocity[0] + gyro[1] * z - gyro[2] * y
+    drift[1] -= velocity[1] + gyro[2] * x - gyro[0] * z
+    drift[2] -= velocity[2] + gyro[0] * y - gyro[1] * x
+
+
+@compiled
+def _advance_reference(chain, limits, home, rate_limits, length, settings, s, step, n, error, drift, q_next):
+    """One damped step of the reference (n,) towards the point, its tool's `error` (3,) away and moving by `drift`."""
+    q = s.reference[:n]
+    tool, jacobian, twist = np.empty((3, 4)), np.empty((6, n)), np.zeros(6)
+    gram, gradient, weights = np.empty((n, n)), np.empty(n), np.ones(6)
+    distance = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
+    gain = min(settings.gain, settings.speed / max(distance, 1e-9))
+    for i in range(3):
+        twist[i] = step * (gain * error[i] + drift[i])
+    jacobian_kernel(chain, q, tool, jacobian)
+    gram_kernel(jacobian, twist, weights, 3, gram, gradient)
+    threshold, damping = settings.threshold * length, settings.damping * length
+    sigma = least_singular_value(jacobian, weights, 3)
+    squared = settings.posture_weight**2
+    for i in range(n):
+        gradient[i] += squared * settings.posture_gain * step * (home[i] - q[i])
+    if sigma < threshold:
+        squared += (1.0 - (sigma / threshold) ** 2) * damping * damping
+    bounded_step(gram, gradient, squared, q, limits, settings.share * step * rate_limits, q_next)
+
+
+@compiled
+def servo_rows(
+    chain, limits, home, servo_time, rate_limits, length, joint_rate, settings, feedforward, step, rows, tools, goals,
+    states, actions,
+):  # fmt: skip
+    """One control step of every row: writes `states` (N,) and `actions` (N, n)."""
+    n = limits.shape[0]
+    rotation, point, drift, error = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    at, of_reference, q_next = np.empty((3, 4)), np.empty((3, 4)), np.empty(n)
+    for row in range(rows.shape[0]):
+        s, o = states[row], rows[row]
+        q, rates, lag = o[:n], o[n : 2 * n], o[2 * n : 3 * n]
+        velocity, gyro = o[3 * n : 3 * n + 3], o[3 * n + 3 : 3 * n + 6]
+        roll, pitch, age = o[3 * n + 6], o[3 * n + 7], o[3 * n + 8]
+        if s.started == 0:
+            s.started, s.step, s.seen, s.heading, s.age = 1, 0, 0, 0.0, age
+            s.place[:] = 0.0
+            s.velocity[:] = 0.0
+            for i in range(n):
+                s.reference[i], s.command[i], s.sag[i] = q[i], q[i] + lag[i], lag[i]
+        else:
+            s.step += 1
+        _dead_reckon(s, step, velocity, gyro, roll, pitch, rotation)
+        if feedforward:
+            _track(settings, s, step, age, goals[row])
+            _seen_from_body(s, rotation, velocity, gyro, point, drift)
+        else:
+            point[:] = goals[row]
+            drift[:] = 0.0
+        # the tool by the encoders is where the body's frame has it, wherever the arm is mounted
+        forward_kernel(chain, q, at)
+        forward_kernel(chain, s.reference[:n], of_reference)
+        for i in range(3):
+            error[i] = point[i] - (tools[row, i] + of_reference[i, 3] - at[i, 3])
+        _advance_reference(chain, limits, home, rate_limits, length, settings, s, step, n, error, drift, q_next)
+        for i in range(n):
+            s.sag[i] += settings.sag_gain * (s.command[i] - q[i] - servo_time[i] * rates[i] - s.sag[i])
+            moving = (q_next[i] - s.reference[i]) / step
+            wanted = q_next[i] + servo_time[i] * moving + s.sag[i]
+            rate = clip((wanted - s.command[i]) / step, -rate_limits[i], rate_limits[i])
+            command = clip(s.command[i] + step * rate, q[i] - FOLLOWING_ERROR, q[i] + FOLLOWING_ERROR)
+            s.command[i] = clip(command, limits[i, 0], limits[i, 1])
+            s.reference[i] = q_next[i]
+            actions[row, i] = clip(rate / joint_rate, -1.0, 1.0)
