@@ -102,7 +102,7 @@ def grasps_on_gpis(
     """
     if not isinstance(gp, GPIS):
         raise ValueError(f"gp: expected a GPIS, got {type(gp).__name__}")
-    data = gp._fitted().observations.points
+    data = gp.observations.points
     if data.shape[1] != 3:
         raise ValueError(f"gp: expected a model of points in space, got {data.shape[1]}-D ones")
     if not gp.kernel.differentiable:
