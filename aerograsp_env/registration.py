@@ -11,20 +11,25 @@ import gymnasium
 if TYPE_CHECKING:
     from aerograsp_env.interfaces import Policy
 
-EPISODE_STEPS = 3000  # 60 s at 50 Hz
+EPISODE_STEPS: dict[str, int | None] = {  # at 50 Hz
+    "aerograsp/Dock-v0": 3000,
+    "aerograsp/DockAttach-v0": 3000,
+    "aerograsp/GraspPlan-v0": None,  # ends by itself at the first step
+    "aerograsp/Reach-v0": 500,
+}
 
 ENTRY_POINTS: dict[str, tuple[str, str | None]] = {  # of one world, and of a native batch where there is one
     "aerograsp/Dock-v0": ("aerograsp_env.envs.dock:DockEnv", "aerograsp_env.vector:DockVectorEnv"),
     "aerograsp/DockAttach-v0": ("aerograsp_env.envs.dock:DockAttachEnv", "aerograsp_env.vector:DockAttachVectorEnv"),
     "aerograsp/GraspPlan-v0": ("aerograsp_env.envs.grasp_plan:GraspPlanEnv", None),
+    "aerograsp/Reach-v0": ("aerograsp_env.envs.reach:ReachEnv", "aerograsp_env.manipulation_vector:ReachVectorEnv"),
 }
-
-ONE_STEP = frozenset({"aerograsp/GraspPlan-v0"})  # end by themselves at the first step: no time limit
 
 REFERENCE_POLICIES: dict[str, str] = {
     "aerograsp/Dock-v0": "baselines.policies.dock:pid",
     "aerograsp/DockAttach-v0": "baselines.policies.dock_attach:pid",
     "aerograsp/GraspPlan-v0": "baselines.policies.grasp_plan:gpis",
+    "aerograsp/Reach-v0": "baselines.policies.reach:dls",
 }
 
 
@@ -36,7 +41,7 @@ def register_envs() -> None:
                 env_id,
                 single,
                 vector_entry_point=batched,
-                max_episode_steps=None if env_id in ONE_STEP else EPISODE_STEPS,
+                max_episode_steps=EPISODE_STEPS[env_id],
                 order_enforce=False,  # the environments check order and actions themselves:
                 disable_env_checker=True,  # two wrappers fewer in every step
             )

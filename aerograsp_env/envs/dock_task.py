@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from gymnasium import spaces
 
+from aerograsp_env.sim.actions import ActionDimension
 from aerograsp_env.sim.config import DockConfig
 from aerograsp_env.sim.kernel_task import TERMS
 
@@ -14,16 +13,6 @@ from aerograsp_env.sim.kernel_task import TERMS
 ALWAYS_REPORTED = ("effort", "crash", "clamp_force_max")
 
 Layout = tuple[tuple[str, int, float], ...]
-
-
-@dataclass(frozen=True)
-class ActionDimension:
-    """One entry of the action: what a full action (1.0) means."""
-
-    name: str
-    scale: float
-    unit: str
-    frame: str
 
 
 def action_layout(config: DockConfig) -> tuple[ActionDimension, ...]:

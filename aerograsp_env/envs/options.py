@@ -61,23 +61,23 @@ def instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = N
     raise ValueError(f"{name} must be a {kind.__name__}{known}, got {value!r}")
 
 
-def _number(name: str, value: Any) -> float:
+def scalar(name: str, value: Any) -> float:
     try:
         return float(value)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number, got {value!r}") from None
 
 
-def _range(name: str, value: Any) -> tuple[float, float]:
+def pair(name: str, value: Any) -> tuple[float, float]:
     try:
-        pair: Any = (value, value) if np.isscalar(value) else value
-        low, high = (float(v) for v in pair)
+        both: Any = (value, value) if np.isscalar(value) else value
+        low, high = (float(v) for v in both)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be a number or a pair (low, high) in seconds, got {value!r}") from None
     return low, high
 
 
-def _triple(name: str, value: Any) -> tuple[float, float, float]:
+def triple(name: str, value: Any) -> tuple[float, float, float]:
     try:
         array = np.broadcast_to(np.asarray(value, dtype=float), (3,))
     except (TypeError, ValueError):
@@ -124,9 +124,9 @@ def dock_config(
         docked=bool(docked),
         randomize=drawn,
         airframe=instance("airframe", airframe, AirframeConfig, AIRFRAMES),
-        payload=_number("payload", payload),
-        velocity_limit=_triple("velocity_limit", velocity_limit),
-        command_delay=_range("command_delay", command_delay),
+        payload=scalar("payload", payload),
+        velocity_limit=triple("velocity_limit", velocity_limit),
+        command_delay=pair("command_delay", command_delay),
         autopilot=pilot,
         sensors=instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
         tool=instance("tool", tool, DockingToolConfig) if tool is not None else base.tool,
