@@ -17,12 +17,12 @@ class SacConfig(RunConfig):
     """
 
     num_envs: int = option(8, "worlds side by side")
-    hidden: tuple[int, ...] = option((256, 256), "widths of the hidden layers, of actor and critics each")
+    hidden: tuple[int, ...] = option((128, 128), "widths of the hidden layers, of actor and critics each")
     activation: str = option("relu", "tanh or relu")
     learning_rate: float = option(1e-3, "Adam's, at the start")
     final_learning_rate: float = option(1e-4, "at the end; linear in between")
     gamma: float = option(0.95, "discount factor a step")
-    batch_size: int = option(256, "transitions a gradient step")
+    batch_size: int = option(512, "transitions a gradient step")
     checkpoint_every: int = option(
         100_000, "steps between checkpoints; the worlds restart there, so that resuming is exact"
     )
@@ -31,7 +31,7 @@ class SacConfig(RunConfig):
     replay_size: int = option(500_000, "transitions that are remembered")
     replay_saved: bool = option(True, "store the replay buffer beside the checkpoint; without, a resumed one is empty")
     learning_starts: int = option(5_000, "steps before the first gradient step, by random actions")
-    gradient_steps: int = option(4, "gradient steps for each step of all worlds")
+    gradient_steps: int = option(2, "gradient steps for each step of all worlds")
     tau: float = option(0.005, "share of the critics that their targets take on at a gradient step")
     entropy: float = option(0.1, "initial temperature, i.e. weight of the entropy; it is adapted from there")
     target_entropy: float | None = option(None, "entropy that the temperature is adapted to; none: minus the actions")
