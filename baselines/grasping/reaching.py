@@ -1,0 +1,320 @@
+"""Grasps that a flying arm can do: reach and collisions of the candidates, and where the base goes for each.
+
+The base may be put anywhere over the object (its heading is kept), so each grasp is met where the arm does its
+orientation well: far from singular and from the joint limits, at the grasp and where the tool comes from, with the
+airframe clear of what is below (thesis section 2.4: grasps on the object, then inverse kinematics and collision checks
+of the arm). Frames: "level" is the body's origin and heading, z up.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aerograsp_env.sim.arms.description import Shape
+from aerograsp_env.sim.arms.vehicles import ArmMount, VehicleConfig
+from aerograsp_env.spatial import check_transform, inverse, transform_points
+from baselines.grasping.candidates import note
+from baselines.grasping.contacts import Array
+from baselines.grasping.on_model import ModelGrasps, grasps_on_model
+from baselines.kinematics.arm import Arm
+from baselines.kinematics.collision import CollisionModel
+from baselines.kinematics.regions import Region, region
+
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # the same grasp with the fingers swapped
+ALIKE_TURN, ALIKE_PLACE = 0.9, 0.015  # cosine between approaches and distance [m] of grasps that are nearly one
+
+EASED = ((1.0, 0.004), (1.4, 0.002), (1.8, 0.0005))  # factors of the friction counted on, and room wanted [m]
+FEW = 12
+
+
+class Reached(NamedTuple):
+    """A grasp, the arm in it, and where the object is then."""
+
+    T_object_grasp: Array  # (4, 4)
+    width: float  # between the contacts [m]
+    opening: float  # of the jaws on the approach [m]
+    q: Array  # (n,) at the grasp [rad]
+    q_before: Array  # (n,) at the pre-grasp
+    T_level_object: Array  # (4, 4) where the base puts the object
+    score: float  # more is better
+
+
+class Plan(NamedTuple):
+    """What can be done, best first, and why other grasps were turned down."""
+
+    grasps: tuple[Reached, ...]
+    reasons: dict[str, int]
+
+
+@dataclass(frozen=True)
+class ReachSettings:
+    """What counts where grasps are chosen. Lengths in metres.
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    back: float = 0.09  # from the pre-grasp to the grasp, along the approach axis
+    tried: int = 28  # grasps whose reach is looked at
+    kept: int = 6
+    step: float = 0.06  # of the grid of tool positions
+    posture: float = 1.2  # what a posture at its best counts against one that is just possible
+    straight_down: float = 0.25  # what an approach straight down counts against a horizontal one
+    motion: float = 0.3  # per metre that the base has to move
+    frame_height: float = 0.14  # of the airframe over the support
+    frame_range: float = 0.40  # from the seat's middle within which the support counts
+    arm_room: float = 0.008  # of the arms from everything at the pre-grasp
+    grasp_room: float = 0.002  # at the grasp, where the fingers come near the support
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name}: expected a positive number, got {value}")
+
+
+class Scene(NamedTuple):
+    """What stands around a grasp, in the level frame."""
+
+    T_level_object: Array  # (4, 4)
+    points: Array  # (N, 3) of the object's surface, object frame [m]
+    normals: Array  # (N, 3) unit, outward
+    support: Array  # (3,) the middle of the seat [m]
+    up: Array  # (3,) the seat's unit normal
+
+
+class Grid(NamedTuple):
+    """Tool positions of an arm that are tried, level frame."""
+
+    positions: Array  # (P, 3) [m]
+    shape: tuple[int, int, int]
+
+
+def tool_grid(mount: ArmMount, step: float) -> Grid:
+    """In front of, beside and below the arm's base, as far as it reaches."""
+    x, y, z = mount.T_body_base[:3, 3]
+    axes = (
+        x + np.arange(-0.26, 0.38, step),
+        y + np.arange(-0.27, 0.28, step),
+        z - np.arange(0.24, 0.60, step),
+    )
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return Grid(mesh.reshape(-1, 3), (mesh.shape[0], mesh.shape[1], mesh.shape[2]))
+
+
+def frame_points(vehicle: VehicleConfig) -> Array:
+    """(K, 3) points on the undersides of the airframe and of what is fixed to it, body frame [m]."""
+    points = []
+    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    ring = np.linspace(0.0, 2.0 * np.pi, 9)[:-1]
+    rim = np.stack([np.cos(ring), np.sin(ring), np.zeros(8)], axis=1)
+    for shape in vehicle.shapes:
+        if shape.kind == "box":
+            local = corners * shape.size
+        else:
+            radius, half = shape.size
+            local = np.concatenate([radius * rim + (0.0, 0.0, end) for end in (-half, half)])
+        points.append(transform_points(shape.T_link_shape, local))
+    return np.concatenate(points)
+
+
+class GraspPlanner:
+    """Plans grasps of one arm of a vehicle.
+
+    Args:
+        vehicle: its other arms are taken to be stowed.
+        side: of the arm, which needs a closed form for six joints.
+        settings: what counts.
+
+    Raises:
+        ValueError: the vehicle has no such arm, or the arm no closed form.
+    """
+
+    def __init__(self, vehicle: VehicleConfig, side: str = "right", settings: ReachSettings | None = None) -> None:
+        self.vehicle, self.side = vehicle, side
+        self.mount = vehicle.mount(side)
+        self.arm = Arm.from_config(self.mount.arm, self.mount.T_body_base)
+        self.settings = ReachSettings() if settings is None else settings
+        self.grid = tool_grid(self.mount, self.settings.step)
+        self.frame = frame_points(vehicle.with_active([side]) if len(vehicle.mounts) > 1 else vehicle)
+
+    def plan(self, scene: Scene, friction: float = 0.5, shortlist: ModelGrasps | None = None) -> Plan:
+        """The grasps that the arm can do, best first.
+
+        Args:
+            scene: the object and its support.
+            friction: Coulomb coefficient that may be counted on.
+            shortlist: grasps of the object's model, where they are known already.
+
+        Raises:
+            ValueError: a pose that is not rigid, or a model that `grasps_on_model` refuses.
+        """
+        T = check_transform(scene.T_level_object, "T_level_object")
+        grasps = model_grasps(scene, self.mount, friction) if shortlist is None else shortlist
+        reasons: Counter[str] = Counter(grasps.reasons)
+        reached = self._reach(scene, T, distinct(grasps, T, self.settings), reasons)
+        model = surroundings(self.vehicle, scene)
+        kept = []
+        for grasp in reached:
+            if (fault := self._collision(model, scene, grasp)) is None:
+                kept.append(grasp)
+                if len(kept) == self.settings.kept:
+                    break
+            else:
+                note(reasons, {fault: 1})
+        return Plan(tuple(kept), dict(reasons))
+
+    def _reach(self, scene: Scene, T: Array, grasps: ModelGrasps, reasons: Counter[str]) -> list[Reached]:
+        """Every grasp at the best place for it, best first."""
+        s = self.settings
+        found = []
+        for g in range(len(grasps)):
+            best: Reached | None = None
+            for turn in (np.eye(3), HALF_TURN):
+                T_grasp = grasps.T[g].copy()
+                T_grasp[:3, :3] = T_grasp[:3, :3] @ turn
+                R = T[:3, :3] @ T_grasp[:3, :3]
+                at = region(self.arm, R, self.grid.positions, s.back)
+                objects = self.grid.positions - T[:3, :3] @ T_grasp[:3, 3]
+                value = s.posture * (robust(at, self.grid.shape) - 1.0)
+                value = value - s.motion * np.linalg.norm(objects - T[:3, 3], axis=1)
+                can = np.flatnonzero(at.score > 0.0)
+                can = can[frame_clear(self.frame, scene, objects[can], s)]
+                if not len(can):
+                    continue
+                p = int(can[value[can].argmax()])
+                total = float(value[p] + grasps.score[g])
+                if best is None or total > best.score:
+                    T_level = T.copy()
+                    T_level[:3, 3] = objects[p]
+                    opening, width = float(grasps.openings[g]), float(grasps.widths[g])
+                    best = Reached(T_grasp, width, opening, at.q[p], at.q_before[p], T_level, total)
+            if best is None:
+                note(reasons, {"out of reach": 1})
+            else:
+                found.append(best)
+        return sorted(found, key=lambda grasp: -grasp.score)
+
+    def _collision(self, model: CollisionModel, scene: Scene, grasp: Reached) -> str | None:
+        """What the arm would touch, or None."""
+        poses = moved_scene(scene, grasp.T_level_object)
+        widths = {self.side: grasp.opening}
+        before = model.collides({self.side: grasp.q_before}, widths, poses, margin=self.settings.arm_room)
+        if before is not None:
+            return f"pre-grasp: {before.first} – {before.second}"
+        ignored = [(self.side, "object")]  # the model's points have been looked at
+        hit = model.collides({self.side: grasp.q}, widths, poses, ignored, margin=self.settings.grasp_room)
+        return None if hit is None else f"grasp: {hit.first} – {hit.second}"
+
+
+def model_grasps(scene: Scene, mount: ArmMount, friction: float) -> ModelGrasps:
+    """Grasps of the object as it stands, in its frame; with more friction and less room where there are few."""
+    T_object_level = inverse(scene.T_level_object)
+    support = transform_points(T_object_level, scene.support), T_object_level[:3, :3] @ scene.up
+    for factor, room in EASED:
+        jaws = mount.arm.gripper.jaws
+        found = grasps_on_model(scene.points, scene.normals, jaws, factor * friction, support, room=room)
+        if len(found) >= FEW:
+            break
+    return found
+
+
+def distinct(grasps: ModelGrasps, T: Array, settings: ReachSettings) -> ModelGrasps:
+    """The best grasps that differ, with what their approach counts added to the score."""
+    approach = np.einsum("ij,gj->gi", T[:3, :3], grasps.T[:, :3, 2])
+    score = grasps.score - settings.straight_down * (1.0 + approach[:, 2])
+    center = grasps.T[:, :3, 3]
+    chosen: list[int] = []
+    for g in np.argsort(-score, kind="stable"):
+        near = np.linalg.norm(center[chosen] - center[g], axis=1) < ALIKE_PLACE if chosen else np.zeros(0, bool)
+        if not (near & (approach[chosen] @ approach[g] > ALIKE_TURN)).any():
+            chosen.append(int(g))
+            if len(chosen) == settings.tried:
+                break
+    rows = np.array(chosen, dtype=np.int64)
+    taken = grasps.take(rows)
+    taken.score[:] = score[rows]
+    return taken
+
+
+def robust(at: Region, shape: tuple[int, int, int]) -> Array:
+    """(P,) scores that count the six neighbours as much as the place itself: a hover does not stand still."""
+    score = at.score.reshape(shape)
+    wide = np.pad(score, 1)
+    beside = [wide[2:, 1:-1, 1:-1], wide[:-2, 1:-1, 1:-1], wide[1:-1, 2:, 1:-1], wide[1:-1, :-2, 1:-1]]
+    beside += [wide[1:-1, 1:-1, 2:], wide[1:-1, 1:-1, :-2]]
+    return np.asarray(0.5 * score + np.mean(beside, axis=0) * 0.5).reshape(-1)
+
+
+def frame_clear(frame: Array, scene: Scene, objects: Array, settings: ReachSettings) -> NDArray[np.bool_]:
+    """Whether the airframe is clear of the support and of the object, with the object's origin at (P, 3)."""
+    seats = objects + (scene.support - scene.T_level_object[:3, 3])
+    apart = frame[None] - seats[:, None]  # (P, K, 3)
+    height = apart @ scene.up
+    aside = np.linalg.norm(apart - height[..., None] * scene.up, axis=-1)
+    over = (height > settings.frame_height) | (aside > settings.frame_range)
+    middle = objects + scene.T_level_object[:3, :3] @ scene.points.mean(axis=0)
+    radius = float(np.linalg.norm(scene.points - scene.points.mean(axis=0), axis=1).max())
+    clear = np.linalg.norm(frame[None] - middle[:, None], axis=-1) > radius + 0.5 * settings.frame_height
+    return np.asarray((over & clear).all(axis=1))
+
+
+def surroundings(vehicle: VehicleConfig, scene: Scene, half: float = 0.25) -> CollisionModel:
+    """The vehicle with the object's hull and a slab for the support as obstacles."""
+    slab = Shape.box("slab", (0.0, 0.0, -0.02), (half, half, 0.02))
+    return CollisionModel(vehicle, {"object": [scene.points], "support": [slab]})
+
+
+def moved_scene(scene: Scene, T_level_object: Array) -> dict[str, Array]:
+    """Poses of the obstacles of `surroundings` once the base has put the object there."""
+    T_seat = np.eye(4)
+    other = np.eye(3)[np.argmin(np.abs(scene.up))]
+    x = np.cross(other, scene.up)
+    x /= np.linalg.norm(x)
+    T_seat[:3, :3] = np.stack([x, np.cross(scene.up, x), scene.up], axis=1)
+    T_seat[:3, 3] = scene.support + T_level_object[:3, 3] - scene.T_level_object[:3, 3]
+    return {"object": T_level_object, "support": T_seat}
+
+
+class Choice(NamedTuple):
+    """Which stored grasp to go on with."""
+
+    index: int  # −1: none can be done
+    scores: Array  # (G,) as things are now, 0 where it cannot be done
+
+
+def rerank(
+    arm: Arm, grasps: Sequence[Reached], T_body_object: ArrayLike, current: int, back: float, hysteresis: float = 0.3
+) -> Choice:
+    """The stored grasp that suits best with the object where it is now and the base where it is.
+
+    Cheap: the closed form at the grasp and the pre-grasp. The current one is kept until it is out of reach, or another
+    one's posture is better by `hysteresis`.
+
+    Args:
+        arm: poses in the body frame.
+        grasps: of one plan.
+        T_body_object: (4, 4) the object's pose now.
+        current: index of the one that is being done, or −1.
+        back: from the pre-grasp to the grasp [m].
+        hysteresis: by how much a posture, in [0, 1], must be better.
+
+    Raises:
+        ValueError: a pose that is not rigid.
+    """
+    T = check_transform(T_body_object, "T_body_object")
+    scores = np.zeros(len(grasps))
+    for g, grasp in enumerate(grasps):
+        T_tool = T @ grasp.T_object_grasp
+        scores[g] = region(arm, T_tool[:3, :3], T_tool[:3, 3], back).score[0]
+    if not len(grasps) or scores.max() <= 0.0:
+        return Choice(-1, scores)
+    best = int(scores.argmax())
+    if 0 <= current < len(grasps) and scores[current] > 0.0 and scores[best] < scores[current] + hysteresis:
+        best = current
+    return Choice(best, scores)
