@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pinocchio
 import pytest
@@ -131,7 +133,7 @@ def test_arrays_cannot_be_written_to():
             getattr(arm, name)[:] = 0.0
 
 
-GOOD = {
+GOOD: dict[str, Any] = {
     "placements": np.tile(np.eye(4), (2, 1, 1)),
     "axes": np.tile([0.0, 0.0, 1.0], (2, 1)),
     "limits": np.tile([-1.0, 1.0], (2, 1)),
