@@ -46,7 +46,8 @@ LOWEST_GAIN = 0.05  # least singular value of the position's Jacobian along a pa
 HIGHEST, HINDMOST = -0.22, -0.10  # of a path, body z and x [m]: below the vehicle and in front
 BENDING_RADIUS = 0.04  # least along a path [m]
 START_SPREAD = 0.15  # of the first joint angles about home [rad]
-_ATTEMPTS = 5000
+CHECKED = 8  # configurations along a path that are checked for reach and collisions
+_ATTEMPTS, _BATCH = 400, 64
 
 RECORD = np.dtype(
     [
@@ -181,11 +182,81 @@ def _trace(p, center, sine, cosine, out):
 
 
 @compiled
-def _jacobian(p, q, out):
-    """Of the tool's twist at q (JOINTS,): writes (6, JOINTS)."""
-    poses, tool = np.empty((lay.JOINTS, 4, 4)), np.empty((4, 4))
-    forward(p, 0, q, poses, tool)
-    jacobian(p, 0, poses, tool, out)
+def _gain(p, q, moves):
+    """The square of the least singular value of the tool's Jacobian (position) at q (n,); its pseudo-inverse (n, 3)."""
+    n = q.shape[0]
+    poses, tool, j = np.empty((lay.JOINTS, 4, 4)), np.empty((4, 4)), np.empty((6, lay.JOINTS))
+    padded = np.zeros(lay.JOINTS)
+    padded[:n] = q
+    forward(p, 0, padded, poses, tool)
+    jacobian(p, 0, poses, tool, j)
+    gram = np.zeros((3, 3))
+    for a in range(3):
+        for b in range(3):
+            for i in range(n):
+                gram[a, b] += j[a, i] * j[b, i]
+    least = np.linalg.eigvalsh(gram)[0]
+    if least > LOWEST_GAIN**2:
+        inverse = np.linalg.inv(gram)
+        moves[:] = 0.0
+        for i in range(n):
+            for a in range(3):
+                for b in range(3):
+                    moves[i, a] += j[b, i] * inverse[b, a]
+    return least
+
+
+@compiled
+def _bends(curve):
+    """The least radius of curvature of a closed curve (M, 3) of equal parameter steps, by central differences [m]."""
+    count, least = curve.shape[0], 1e9
+    for m in range(count):
+        before, here, after = curve[m - 1], curve[m], curve[(m + 1) % count]
+        u, v = 0.5 * (after - before), after - 2.0 * here + before
+        x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+        speed = math.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+        turning = math.sqrt(x * x + y * y + z * z)
+        if turning > 0.0:
+            least = min(least, speed**3 / turning)
+    return least
+
+
+@compiled
+def _search(p, low, high, uniforms, normals, curve, waves):
+    """The first of M drawn paths that is good, or −1: uniforms (M, n + 1) in [0, 1), normals (M, 2, 3).
+
+    Writes its points (POINTS, 3), body frame, and its joint waves (3, n): centre, sine, cosine.
+    """
+    n = low.shape[0]
+    moves, q = np.empty((n, 3)), np.empty(n)
+    for k in range(uniforms.shape[0]):
+        center = low + uniforms[k, :n] * (high - low)
+        if _gain(p, center, moves) < LOWEST_GAIN**2:
+            continue
+        u = normals[k, 0] / np.linalg.norm(normals[k, 0])
+        v = normals[k, 1] - np.sum(normals[k, 1] * u) * u
+        v /= np.linalg.norm(v)
+        largest = RADII[1]  # that the joints' limits leave
+        for i in range(n):
+            sine, cosine = np.sum(moves[i] * u), np.sum(moves[i] * v)
+            waves[0, i], waves[1, i], waves[2, i] = center[i], sine, cosine
+            room = min(center[i] - low[i], high[i] - center[i])
+            largest = min(largest, room / max(math.sqrt(sine**2 + cosine**2), 1e-9))
+        if largest < RADII[0]:
+            continue
+        waves[1:] *= RADII[0] + uniforms[k, n] * (largest - RADII[0])
+        _trace(p, waves[0], waves[1], waves[2], curve)
+        if curve[:, 2].max() > HIGHEST or curve[:, 0].min() < HINDMOST or _bends(curve) < BENDING_RADIUS:
+            continue
+        able = True
+        for m in range(CHECKED):
+            s = 2.0 * math.pi * m / CHECKED
+            for i in range(n):
+                q[i] = waves[0, i] + waves[1, i] * math.sin(s) + waves[2, i] * math.cos(s)
+            able = able and _gain(p, q, moves) >= LOWEST_GAIN**2
+        if able:
+            return k
+    return -1
 
 
 def equidistant(curve: NDArray[np.float64], count: int) -> tuple[NDArray[np.float64], float]:
@@ -274,43 +345,18 @@ class ReachTask(Task):
 
     def _draw_path(self, episode: Episode) -> tuple[NDArray[np.float64], float]:
         """Equidistant points (POINTS, 3), body frame of the level vehicle, and the length of a clear path."""
-        rng = episode.rng
+        rng, n, p = episode.rng, self.arm.n, episode.parameters.reshape(1)[0]
         low, high = self.arm.limits.T + np.array([[MARGIN], [-MARGIN]])
-        p = episode.parameters.reshape(1)[0]
-        curve, angles = np.empty((POINTS, 3)), np.linspace(0, 2 * np.pi, 9)[:-1]
-        circle = np.stack([np.sin(angles), np.cos(angles)], axis=1)
+        curve, waves, angles = np.empty((POINTS, 3)), np.empty((3, n)), 2.0 * np.pi * np.arange(CHECKED) / CHECKED
         for _ in range(_ATTEMPTS):
-            center, plane = rng.uniform(low, high), rng.standard_normal((3, 2))
-            share, first = rng.uniform(), rng.integers(POINTS)
-            j = self._position_jacobian(p, center)
-            if np.linalg.eigvalsh(j @ j.T)[0] < LOWEST_GAIN**2:
+            uniforms, normals = rng.uniform(size=(_BATCH, n + 1)), rng.standard_normal((_BATCH, 2, 3))
+            if _search(p, low, high, uniforms, normals, curve, waves) < 0:
                 continue
-            waves = (np.linalg.pinv(j) @ np.linalg.qr(plane)[0]).T  # (2, n) per metre of radius
-            room = np.minimum(center - low, high - center) / np.maximum(np.hypot(*waves), 1e-9)
-            largest = min(RADII[1], room.min())  # that the joints' limits leave
-            if largest < RADII[0]:
-                continue
-            waves *= RADII[0] + share * (largest - RADII[0])
-            _trace(p, center, waves[0], waves[1], curve)
-            if curve[:, 2].max() > HIGHEST or curve[:, 0].min() < HINDMOST:
-                continue
-            path, length = equidistant(curve, POINTS)
-            bend = path - 0.5 * (np.roll(path, 1, axis=0) + np.roll(path, -1, axis=0))
-            if 2.0 * np.linalg.norm(bend, axis=1).max() * BENDING_RADIUS > (length / POINTS) ** 2:
-                continue
-            configurations = center + circle @ waves
-            jacobians = [self._position_jacobian(p, q) for q in configurations]
-            able = all(np.linalg.eigvalsh(j @ j.T)[0] > LOWEST_GAIN**2 for j in jacobians)
-            if able and self._clear(episode, configurations):
-                return np.roll(path, -first, axis=0), length if self.target_speed > 0.0 else 0.0
-        raise RuntimeError(f"no path of targets found for {self.arm.name!r} in {_ATTEMPTS} attempts")
-
-    def _position_jacobian(self, p: Any, q: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3, n) of the tool's position."""
-        padded, out = np.zeros(lay.JOINTS), np.empty((6, lay.JOINTS))
-        padded[: self.arm.n] = q
-        _jacobian(p, padded, out)
-        return out[:3, : self.arm.n]
+            configurations = waves[0] + np.outer(np.sin(angles), waves[1]) + np.outer(np.cos(angles), waves[2])
+            if self._clear(episode, configurations):
+                path, length = equidistant(curve, POINTS)
+                return np.roll(path, -rng.integers(POINTS), axis=0), length if self.target_speed > 0.0 else 0.0
+        raise RuntimeError(f"no path of targets found for {self.arm.name!r} in {_ATTEMPTS * _BATCH} attempts")
 
     @staticmethod
     def _clear(episode: Episode, configurations: NDArray[np.float64]) -> bool:

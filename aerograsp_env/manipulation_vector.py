@@ -1,0 +1,47 @@
+"""The native batched environments of vehicles with arms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+from aerograsp_env.envs.manipulation_options import built
+from aerograsp_env.envs.reach import GoalReward, reach_task
+from aerograsp_env.sim.manipulation.reset import check_options
+from aerograsp_env.sim.manipulation.task import Task
+from aerograsp_env.sim.manipulation.worlds import ManipulationWorlds
+from aerograsp_env.vector_base import BatchedEnv, Setup
+
+
+class ManipulationVectorEnv(BatchedEnv):
+    """A task of a vehicle with arms, N at a time; subclasses name the function that makes the task from the options."""
+
+    build: ClassVar[Callable[..., Task]]
+
+    def _setup(self, options: dict[str, Any], threads: int | None) -> Setup:
+        task = built(type(self).build, options)
+        worlds = ManipulationWorlds(task.config, task, self.num_envs, threads)
+        self.task: Task = task
+        return Setup(
+            config=task.config,
+            worlds=worlds,
+            observation=task.observation,
+            action_layout=task.actions,
+            terms=tuple((name, task.terms.index(name)) for name in task.reward_terms(self.reward_mode)),
+            metrics=task.metrics,
+            always_reported=frozenset(task.always_reported),
+            counted=lambda: worlds.flags[:, 2],
+            check_options=lambda options: check_options(options, task.reset_options),
+        )
+
+
+class ReachVectorEnv(GoalReward, ManipulationVectorEnv):
+    """`aerograsp/Reach-v0`, N at a time (`gymnasium.make_vec(id, num_envs=N)`): options, spaces and results as there.
+
+    Args: see `aerograsp_env.vector_base.BatchedEnv`.
+    """
+
+    build = staticmethod(reach_task)
+
+    def __init__(self, num_envs: int = 1, max_episode_steps: int = 500, **options: Any) -> None:
+        super().__init__(num_envs, max_episode_steps, **options)
