@@ -18,4 +18,8 @@ POLICIES: dict[str, dict[str, str]] = {
         "random-eligible": "baselines.policies.grasp_plan:random_eligible",
         "oracle-mesh": "baselines.policies.grasp_plan:oracle_mesh",
     },
+    "aerograsp/Reach-v0": {
+        "dls": "baselines.policies.reach:dls",
+        "dls-no-feedforward": "baselines.policies.reach:dls_no_feedforward",
+    },
 }

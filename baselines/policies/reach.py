@@ -24,6 +24,7 @@ from baselines.policies.reach_kernel import STATE, Settings, servo_rows
 Observation = Mapping[str, NDArray[Any]]
 
 JOINT_RATE = 2.0  # [rad/s] of a full action: the environment's default
+SEEDS = 24  # of a search for a configuration
 BELOW = np.diag([1.0, -1.0, -1.0, 1.0])  # turns an arm's base as the vehicles carry it: z down, x forward
 
 
@@ -33,6 +34,7 @@ class _Machine(NamedTuple):
     chain: NDArray[np.float64]
     limits: NDArray[np.float64]
     home: NDArray[np.float64]
+    seeds: NDArray[np.float64]  # (SEEDS, n) configurations to look for others from
     servo_time: NDArray[np.float64]  # [s] damping / stiffness: how long a servo trails a command that moves
     rate_limits: NDArray[np.float64]  # [rad/s] of a joint, a full action's or its servo's
     length: float
@@ -50,7 +52,9 @@ def _machine(joints: int, joint_rate: float) -> _Machine:
             arm = Arm.from_config(config, BELOW)
             servo_time = np.array([joint.damping / joint.stiffness for joint in config.joints])
             rates = np.array([min(joint.rate_limit, joint_rate) for joint in config.joints])
-            return _Machine(arm.chain, arm.limits, np.asarray(config.home), servo_time, rates, arm.length)
+            low, high = arm.limits.T
+            seeds = low + (high - low) * np.random.default_rng(0).uniform(0.1, 0.9, (SEEDS, joints))
+            return _Machine(arm.chain, arm.limits, np.array(config.home), seeds, servo_time, rates, arm.length)
     raise ValueError(f"observation: expected that of an arm of {[a.n for a in ARMS.values()]} joints, got {joints}")
 
 
@@ -58,7 +62,7 @@ class ServoPolicy:
     """Joint rates that take the tool to the point `desired_goal` of Reach-v0.
 
     Args:
-        feedforward: whether the base's motion and the point's own are fed forward, and its estimate's delay made up for.
+        feedforward: whether the base's motion and the point's own are fed forward, and its delay made up for.
         joint_rate: of a full action [rad/s].
         settings: gains.
     """

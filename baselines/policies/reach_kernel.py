@@ -18,20 +18,24 @@ from baselines.kinematics.dls import least_singular_value
 
 JOINTS = 6  # at most
 PAST = 32  # control steps of own motion remembered: the longest delay of an estimate that is made up for
+SEARCH_STEP, SEARCH_STEPS = 0.3, 60  # [rad] of a joint at most, and how many
+FOUND = 0.001  # [m] from the point at most
+NEAR_LIMIT = 0.3  # [rad] from a limit at which a configuration begins to be worse
+STUCK, STUCK_STEPS = 0.01, 15  # [m] off the point for so many control steps: another configuration is looked for
 FOLLOWING_ERROR = 0.35  # [rad] servos' set-points stay this near to their joints
 
 
 class Settings(NamedTuple):
     """Gains of the servoing. Chosen on validation seeds."""
 
-    gain: float = 15.0  # [1/s] of the reference towards the point
-    speed: float = 0.6  # [m/s] of the reference towards the point, at most
+    gain: float = 8.0  # [1/s] of the goal configuration towards the point, and of the reference towards it
     share: float = 0.8  # of the joints' rate limits that the reference uses; the rest is for corrections
     damping: float = 0.05  # λ at a singularity, as a share of the arm's length
     threshold: float = 0.05  # least singular value below which damping begins, as a share of the arm's length
     posture_gain: float = 0.5  # [1/s] towards the home configuration, with the motion that leaves the tool in place
     posture_weight: float = 0.003  # of that motion [m/rad]: well below the Jacobian's singular values
-    sag_gain: float = 0.1  # of a control step's estimate of how far servos give way under load
+    sag_gain: float = 0.05  # of a control step's estimate of how far servos give way under load
+    rotation_time: float = 0.1  # [s] low-pass of the angular velocity that is fed forward
     acceleration: float = 0.15  # [m/s²] the point's, unknown, standard deviation
     noise: float = 0.002  # [m] of an estimate that is processed images
     exact_noise: float = 0.0001  # [m] of one without delay
@@ -48,7 +52,10 @@ STATE = np.dtype(
         ("seen", np.int64),  # estimates so far
         ("point", np.float64, (3,)),  # when it was seen, level axes
         ("velocity", np.float64, (3,)),  # of the point, level axes
-        ("reference", np.float64, (JOINTS,)),
+        ("rotation", np.float64, (3,)),  # angular velocity, low-passed
+        ("stuck", np.int64),  # control steps in a row that the goal configuration has been off the point
+        ("goal", np.float64, (JOINTS,)),  # configuration with the tool at the point
+        ("reference", np.float64, (JOINTS,)),  # where the joints should be, on their way to the goal
         ("command", np.float64, (JOINTS,)),  # servo set-points as this policy gave them
         ("sag", np.float64, (JOINTS,)),  # of set-points against joints that do not move
     ],
@@ -102,7 +109,7 @@ def _track(settings, s, step, age, goal):
     """The filter of the point's place and velocity, which lives at the time that it was last seen."""
     fresh = s.seen == 0 or age < s.age + 0.5 * step
     if fresh:
-        back = min(int(round(age / step)), PAST - 1, s.step)
+        back = min(round(age / step), PAST - 1, s.step)
         then = s.past[(s.step - back) % PAST]
         interval = s.age + step - age
         alpha, beta = 1.0, 0.0
@@ -134,62 +141,135 @@ def _seen_from_body(s, rotation, velocity, gyro, point, drift):
 
 
 @compiled
-def _advance_reference(chain, limits, home, rate_limits, length, settings, s, step, n, error, drift, q_next):
-    """One damped step of the reference (n,) towards the point, its tool's `error` (3,) away and moving by `drift`."""
-    q = s.reference[:n]
-    tool, jacobian, twist = np.empty((3, 4)), np.empty((6, n)), np.zeros(6)
-    gram, gradient, weights = np.empty((n, n)), np.empty(n), np.ones(6)
-    distance = math.sqrt(error[0] ** 2 + error[1] ** 2 + error[2] ** 2)
-    gain = min(settings.gain, settings.speed / max(distance, 1e-9))
-    for i in range(3):
-        twist[i] = step * (gain * error[i] + drift[i])
+def _damped_step(chain, length, settings, q, home, pull, twist, limits, step_limits, q_next):
+    """One damped least-squares step of q (n,) by the displacement `twist` (6,), of which the first three count.
+
+    What the displacement leaves free moves the share `pull` of the way to `home`.
+    """
+    n = q.shape[0]
+    tool, jacobian, weights = np.empty((3, 4)), np.empty((6, n)), np.ones(6)
+    gram, gradient = np.empty((n, n)), np.empty(n)
     jacobian_kernel(chain, q, tool, jacobian)
     gram_kernel(jacobian, twist, weights, 3, gram, gradient)
     threshold, damping = settings.threshold * length, settings.damping * length
     sigma = least_singular_value(jacobian, weights, 3)
     squared = settings.posture_weight**2
     for i in range(n):
-        gradient[i] += squared * settings.posture_gain * step * (home[i] - q[i])
+        gradient[i] += squared * pull * (home[i] - q[i])
     if sigma < threshold:
         squared += (1.0 - (sigma / threshold) ** 2) * damping * damping
-    bounded_step(gram, gradient, squared, q, limits, settings.share * step * rate_limits, q_next)
+    bounded_step(gram, gradient, squared, q, limits, step_limits, q_next)
+    return sigma
+
+
+@compiled
+def find_goal(chain, length, settings, home, limits, seeds, point, offset, q_now, q_goal):
+    """The best configuration with the tool at `point` (3,), of those that damped steps from `seeds` (K, n) end in.
+
+    Best is what is near to q_now (n,), measured by the joint that has the longest way, and far from limits and
+    singularities. `offset` (3,) takes the chain's places to those of `point`. Writes q_goal (n,) and returns True,
+    or returns False where none reaches the point.
+    """
+    n = q_now.shape[0]
+    q, q_next, tool, twist, steps = np.empty(n), np.empty(n), np.empty((3, 4)), np.zeros(6), np.full(n, SEARCH_STEP)
+    least = np.inf
+    for k in range(seeds.shape[0] + 1):
+        q[:] = q_now if k == 0 else seeds[k - 1]
+        sigma, distance = 0.0, np.inf
+        for iteration in range(SEARCH_STEPS):
+            forward_kernel(chain, q, tool)
+            distance = 0.0
+            for i in range(3):
+                twist[i] = point[i] - offset[i] - tool[i, 3]
+                distance += twist[i] ** 2
+            distance = math.sqrt(distance)
+            if iteration >= SEARCH_STEPS // 2 and distance < FOUND:
+                break
+            sigma = _damped_step(chain, length, settings, q, home, 0.1, twist, limits, steps, q_next)
+            q[:] = q_next
+        if distance >= FOUND:
+            continue
+        way, close = 0.0, max(1.0 - 0.5 * sigma / (settings.threshold * length), 0.0)
+        for i in range(n):
+            way = max(way, abs(q[i] - q_now[i]))
+            close = max(close, 1.0 - min(q[i] - limits[i, 0], limits[i, 1] - q[i]) / NEAR_LIMIT)
+        if way + close < least:
+            least = way + close
+            q_goal[:] = q
+    return least < np.inf
+
+
+@compiled
+def _advance_goal(chain, limits, home, length, settings, s, step, offset, point, drift, q_next):
+    """One damped step of the goal configuration (n,) to the `point`, which moves by `drift`; returns its distance."""
+    n = q_next.shape[0]
+    q, tool, twist = s.goal[:n], np.empty((3, 4)), np.zeros(6)
+    forward_kernel(chain, q, tool)
+    distance = 0.0
+    for i in range(3):
+        error = point[i] - offset[i] - tool[i, 3]
+        twist[i] = step * (settings.gain * error + drift[i])
+        distance += error * error
+    pull = settings.posture_gain * step
+    _damped_step(chain, length, settings, q, home, pull, twist, limits, np.full(n, SEARCH_STEP), q_next)
+    return math.sqrt(distance)
+
+
+@compiled
+def _advance_reference(settings, s, step, rate_limits, q_goal, q_next):
+    """The reference goes along with the goal configuration and closes in on it, all joints slowed down alike."""
+    shrink = 1.0
+    for i in range(q_next.shape[0]):
+        q_next[i] = q_goal[i] - s.goal[i] + settings.gain * step * (s.goal[i] - s.reference[i])
+        shrink = min(shrink, settings.share * rate_limits[i] * step / max(abs(q_next[i]), 1e-12))
+    for i in range(q_next.shape[0]):
+        q_next[i] = s.reference[i] + shrink * q_next[i]
 
 
 @compiled
 def servo_rows(
-    chain, limits, home, servo_time, rate_limits, length, joint_rate, settings, feedforward, step, rows, tools, goals,
-    states, actions,
+    chain, limits, home, seeds, servo_time, rate_limits, length, joint_rate, settings, feedforward, step, rows, tools,
+    goals, states, actions,
 ):  # fmt: skip
     """One control step of every row: writes `states` (N,) and `actions` (N, n)."""
     n = limits.shape[0]
-    rotation, point, drift, error = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    at, of_reference, q_next = np.empty((3, 4)), np.empty((3, 4)), np.empty(n)
+    rotation, point, drift, offset = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    tool, q_goal, q_next = np.empty((3, 4)), np.empty(n), np.empty(n)
     for row in range(rows.shape[0]):
         s, o = states[row], rows[row]
         q, rates, lag = o[:n], o[n : 2 * n], o[2 * n : 3 * n]
         velocity, gyro = o[3 * n : 3 * n + 3], o[3 * n + 3 : 3 * n + 6]
         roll, pitch, age = o[3 * n + 6], o[3 * n + 7], o[3 * n + 8]
-        if s.started == 0:
-            s.started, s.step, s.seen, s.heading, s.age = 1, 0, 0, 0.0, age
+        fresh = s.started == 0
+        if fresh:
+            s.started, s.step, s.seen, s.stuck, s.heading, s.age = 1, 0, 0, 0, 0.0, age
             s.place[:] = 0.0
             s.velocity[:] = 0.0
+            s.rotation[:] = 0.0
             for i in range(n):
-                s.reference[i], s.command[i], s.sag[i] = q[i], q[i] + lag[i], lag[i]
+                s.goal[i], s.reference[i], s.command[i], s.sag[i] = q[i], q[i], q[i] + lag[i], lag[i]
         else:
             s.step += 1
         _dead_reckon(s, step, velocity, gyro, roll, pitch, rotation)
+        for i in range(3):
+            s.rotation[i] += step / (settings.rotation_time + step) * (gyro[i] - s.rotation[i])
         if feedforward:
             _track(settings, s, step, age, goals[row])
-            _seen_from_body(s, rotation, velocity, gyro, point, drift)
+            _seen_from_body(s, rotation, velocity, s.rotation, point, drift)
         else:
             point[:] = goals[row]
             drift[:] = 0.0
         # the tool by the encoders is where the body's frame has it, wherever the arm is mounted
-        forward_kernel(chain, q, at)
-        forward_kernel(chain, s.reference[:n], of_reference)
+        forward_kernel(chain, q, tool)
         for i in range(3):
-            error[i] = point[i] - (tools[row, i] + of_reference[i, 3] - at[i, 3])
-        _advance_reference(chain, limits, home, rate_limits, length, settings, s, step, n, error, drift, q_next)
+            offset[i] = tools[row, i] - tool[i, 3]
+        if fresh or s.stuck >= STUCK_STEPS:
+            s.stuck = 0
+            if find_goal(chain, length, settings, home, limits, seeds, point, offset, s.reference[:n], q_goal):
+                s.goal[:n] = q_goal
+        off = _advance_goal(chain, limits, home, length, settings, s, step, offset, point, drift, q_goal)
+        s.stuck = s.stuck + 1 if off > STUCK else 0
+        _advance_reference(settings, s, step, rate_limits, q_goal, q_next)
         for i in range(n):
             s.sag[i] += settings.sag_gain * (s.command[i] - q[i] - servo_time[i] * rates[i] - s.sag[i])
             moving = (q_next[i] - s.reference[i]) / step
@@ -197,5 +277,5 @@ def servo_rows(
             rate = clip((wanted - s.command[i]) / step, -rate_limits[i], rate_limits[i])
             command = clip(s.command[i] + step * rate, q[i] - FOLLOWING_ERROR, q[i] + FOLLOWING_ERROR)
             s.command[i] = clip(command, limits[i, 0], limits[i, 1])
-            s.reference[i] = q_next[i]
+            s.goal[i], s.reference[i] = q_goal[i], q_next[i]
             actions[row, i] = clip(rate / joint_rate, -1.0, 1.0)
