@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.sim.arms.description import Shape
 from aerograsp_env.sim.arms.vehicles import ArmMount, VehicleConfig
+from aerograsp_env.sim.kernel_math import compiled
 from aerograsp_env.spatial import check_transform, inverse, transform_points
 from baselines.grasping.candidates import note
 from baselines.grasping.contacts import Array
@@ -61,9 +62,9 @@ class ReachSettings:
     """
 
     back: float = 0.09  # from the pre-grasp to the grasp, along the approach axis
-    tried: int = 28  # grasps whose reach is looked at
+    tried: int = 24  # grasps whose reach is looked at
     kept: int = 6
-    step: float = 0.06  # of the grid of tool positions
+    step: float = 0.07  # of the grid of tool positions
     posture: float = 1.2  # what a posture at its best counts against one that is just possible
     straight_down: float = 0.25  # what an approach straight down counts against a horizontal one
     motion: float = 0.3  # per metre that the base has to move
@@ -253,15 +254,32 @@ def robust(at: Region, shape: tuple[int, int, int]) -> Array:
 
 def frame_clear(frame: Array, scene: Scene, objects: Array, settings: ReachSettings) -> NDArray[np.bool_]:
     """Whether the airframe is clear of the support and of the object, with the object's origin at (P, 3)."""
-    seats = objects + (scene.support - scene.T_level_object[:3, 3])
-    apart = frame[None] - seats[:, None]  # (P, K, 3)
-    height = apart @ scene.up
-    aside = np.linalg.norm(apart - height[..., None] * scene.up, axis=-1)
-    over = (height > settings.frame_height) | (aside > settings.frame_range)
-    middle = objects + scene.T_level_object[:3, :3] @ scene.points.mean(axis=0)
-    radius = float(np.linalg.norm(scene.points - scene.points.mean(axis=0), axis=1).max())
-    clear = np.linalg.norm(frame[None] - middle[:, None], axis=-1) > radius + 0.5 * settings.frame_height
-    return np.asarray((over & clear).all(axis=1))
+    offset = scene.support - scene.T_level_object[:3, 3]
+    middle = scene.points.mean(axis=0)
+    radius = float(np.linalg.norm(scene.points - middle, axis=1).max()) + 0.5 * settings.frame_height
+    clear = np.empty(len(objects), dtype=np.bool_)
+    _frame_clear_kernel(
+        frame, np.ascontiguousarray(objects), offset, scene.up, settings.frame_height, settings.frame_range,
+        scene.T_level_object[:3, :3] @ middle, radius, clear,
+    )  # fmt: skip
+    return clear
+
+
+@compiled
+def _frame_clear_kernel(frame, objects, offset, up, least, farthest, middle, radius, clear):
+    for g in range(objects.shape[0]):
+        clear[g] = True
+        for k in range(frame.shape[0]):
+            height = squared = distance = 0.0
+            for i in range(3):
+                apart = frame[k, i] - objects[g, i] - offset[i]
+                height += apart * up[i]
+                squared += apart * apart
+                distance += (frame[k, i] - objects[g, i] - middle[i]) ** 2
+            over = height > least or squared - height * height > farthest * farthest
+            if not over or distance <= radius * radius:
+                clear[g] = False
+                break
 
 
 def surroundings(vehicle: VehicleConfig, scene: Scene, half: float = 0.25) -> CollisionModel:
