@@ -1,0 +1,390 @@
+"""Grasping from the air with one arm or two: what is done when, and the commands that do it.
+
+The base goes to where the plan wants the object, a little higher, while the arms take their pre-grasp postures; it
+comes down, the tools servo to their pre-grasps and along the approach axes to the grasps, the jaws close until their
+motors stall, and the base lifts. What was missed is let go, and the next grasp is planned from where the object lies
+then. Only observations are read; one row of a batch at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.grasping.reaching import Reached, Scene
+from baselines.kinematics.arm import Arm
+from baselines.kinematics.servo import (
+    ServoSettings,
+    Track,
+    TrackSettings,
+    attitude_matrix,
+    joint_rates,
+    servo_rates,
+    start_track,
+    target_twist,
+    update_track,
+)
+
+Array = NDArray[np.float64]
+
+
+class Phase(IntEnum):
+    """What is being done."""
+
+    LOOK = 0  # the track settles
+    TRANSIT = 1  # base and arms to where the approach begins
+    ALIGN = 2  # tools at the pre-grasps
+    APPROACH = 3
+    CLOSE = 4
+    LIFT = 5
+    RELEASE = 6  # jaws open
+    RETREAT = 7  # tools back off
+
+
+class Hand(NamedTuple):
+    """What one arm's part of an observation says."""
+
+    q: Array  # (n,) encoder angles [rad]
+    lag: Array  # (n,) set-points less encoder angles [rad]
+    opening: float  # [m]
+    load: float  # of the jaws' motor, as a share of its stall force
+    tool: Array  # (4, 4) T_body_tool
+
+
+class Reading(NamedTuple):
+    """One row of an observation."""
+
+    velocity: Array  # (3,) body frame [m/s]
+    rpy: Array  # (3,) [rad]
+    gyro: Array  # (3,) [rad/s]
+    hands: tuple[Hand, ...]
+    T_body_object: Array  # (4, 4) by the newest image
+    age: float  # of that image [s]
+    support: Array  # (2, 3) outward normal; a point on it [m], body frame
+    cloud: Array  # (N, 6) points and outward normals, object frame
+
+
+class Manoeuvre(NamedTuple):
+    """A grasp for every arm, and where the base puts the object."""
+
+    hands: tuple[Reached, ...]
+    T_level_object: Array  # (4, 4)
+
+
+Planner = Callable[[Scene, tuple[Array, ...]], Manoeuvre | None]
+"""From a scene and the grasps T_object_grasp (4, 4) of the first arm that failed before."""
+
+
+class Pilot(NamedTuple):
+    """What is remembered of one episode."""
+
+    track: Track
+    phase: Phase
+    since: int  # steps in this phase
+    manoeuvre: Manoeuvre | None
+    seat: Array  # (3,) where the base should have the seat, from the body's origin, level axes [m]
+    travel: float  # of the tools still to go along their approach axes [m]
+    anchors: Array  # (arms, 4, 4) tool poses where the jaws close; positions from the seat, level axes
+    height: float  # by which the base was told to lift [m]
+    settled: int  # steps in a row for which the phase's aim has been met
+    failed: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class PilotSettings:
+    """Timing and thresholds; lengths in metres, times in seconds."""
+
+    step: float = 0.02
+    velocity_limit: float = 0.5  # of a full action [m/s]
+    joint_rate: float = 2.0  # [rad/s]
+    jaw_speed: float = 0.03  # of each finger [m/s]
+    look: float = 0.3
+    back: float = 0.09  # of the pre-grasp, as planned
+    above: float = 0.10  # that the base stays higher until the arms are ready
+    base_gain: float = 1.3  # [1/s]
+    base_speed: float = 0.30
+    posture_rate: float = 1.2  # of joints in transit [rad/s]
+    near: float = 0.05  # of the base to its place, where the approach may begin
+    aligned: float = 0.012  # of the tools
+    aligned_turn: float = 0.12  # [rad]
+    approach_speed: float = 0.08
+    reached: float = 0.006  # of the tools at the grasp
+    room: float = 0.05  # that the jaws are opened wider than the object
+    stalled: float = 0.85  # load from which the jaws hold something
+    lift_speed: float = 0.15
+    lift: float = 0.28
+    held: float = 0.35  # of the object's width: jaws that are less open hold nothing
+    stale: float = 0.3  # age of the estimate from which the arms hold
+    lost: float = 1.0  # and from which they back off
+    retreat: float = 0.10
+
+
+LIMITS = {  # longest times [s]
+    Phase.TRANSIT: 6.0,
+    Phase.ALIGN: 2.5,
+    Phase.APPROACH: 4.0,
+    Phase.CLOSE: 2.6,
+}
+
+
+def rigid(nine: Array) -> Array:
+    """(4, 4) of a position and the first two columns of a rotation (9,), made orthonormal."""
+    T = np.eye(4)
+    T[:3, 3] = nine[:3]
+    x = nine[3:6] / np.linalg.norm(nine[3:6])
+    z = np.cross(x, nine[6:9])
+    z /= np.linalg.norm(z)
+    T[:3, 0], T[:3, 1], T[:3, 2] = x, np.cross(z, x), z
+    return T
+
+
+def read(observation: Mapping[str, NDArray[Any]], row: int, joints: tuple[int, ...]) -> Reading:
+    """A row of a batched observation; `joints` are the arms' numbers of joints."""
+    flat = {name: np.asarray(value[row], dtype=np.float64) for name, value in observation.items()}
+    hands, first = [], 0
+    for k, n in enumerate(joints):
+        part = slice(first, first + n)
+        gripper, tool = flat["gripper"][2 * k : 2 * k + 2], flat["tool"][9 * k : 9 * k + 9]
+        q, lag = flat["joints"][part], flat["command_lag"][part]
+        hands.append(Hand(q, lag, float(gripper[0]), float(gripper[1]), rigid(tool)))
+        first += n
+    return Reading(
+        flat["velocity"], flat["attitude"], flat["angular_velocity"], tuple(hands), rigid(flat["object"]),
+        float(flat["object_age"][0]), flat["support"].reshape(2, 3), flat["object_cloud"].reshape(-1, 6),
+    )  # fmt: skip
+
+
+class Flight:
+    """The rules. Holds no state of an episode.
+
+    Args:
+        arms: in the order of the actions, poses in the body frame.
+        planner: finds a manoeuvre.
+        settings: timing and thresholds.
+        track, servo: of the filter and of the arms.
+    """
+
+    def __init__(
+        self,
+        arms: tuple[Arm, ...],
+        planner: Planner,
+        settings: PilotSettings | None = None,
+        track: TrackSettings | None = None,
+        servo: ServoSettings | None = None,
+    ) -> None:
+        self.arms, self.planner = arms, planner
+        self.settings = PilotSettings() if settings is None else settings
+        self.track_settings = TrackSettings(step=self.settings.step) if track is None else track
+        self.servo = ServoSettings(step=self.settings.step, rate=self.settings.joint_rate) if servo is None else servo
+        self.joints = tuple(arm.n for arm in arms)
+        self.size = 3 + sum(n + 1 for n in self.joints)
+
+    # --- one step -----------------------------------------------------------------------------------------------------
+
+    def step(self, r: Reading, pilot: Pilot | None) -> tuple[Array, Pilot]:
+        """The action (A,) in [−1, 1] and what to remember."""
+        p = self._begin(r) if pilot is None else self._follow(r, pilot)
+        if r.age > self.settings.stale and p.phase != Phase.LIFT:
+            return self._without_sight(r, p)
+        p = self._advance(r, p)
+        return self._command(r, p), p
+
+    def _begin(self, r: Reading) -> Pilot:
+        track = start_track(r.T_body_object, r.support[1:], r.rpy, r.velocity)
+        n = len(self.arms)
+        seat = track.points[1] - track.at
+        return Pilot(track, Phase.LOOK, 0, None, seat, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, ())
+
+    def _follow(self, r: Reading, p: Pilot) -> Pilot:
+        track = update_track(p.track, r.T_body_object, r.support[1:], r.age, r.rpy, r.velocity, self.track_settings)
+        return p._replace(track=track, since=p.since + 1)
+
+    def _go(self, p: Pilot, phase: Phase, **changes: Any) -> Pilot:
+        return p._replace(phase=phase, since=0, settled=0, **changes)
+
+    # --- what to do next ----------------------------------------------------------------------------------------------
+
+    def _advance(self, r: Reading, p: Pilot) -> Pilot:
+        s = self.settings
+        time = p.since * s.step
+        late = time > LIMITS.get(p.phase, np.inf)
+        if p.phase == Phase.LOOK:
+            return self._plan(r, p) if time >= s.look else p
+        assert p.manoeuvre is not None
+        if p.phase == Phase.TRANSIT:
+            apart = np.linalg.norm(self._base_error(p, s.above))
+            ready = apart < s.near and self._postured(r, p)
+            return self._go(p, Phase.ALIGN) if ready or late else p
+        if p.phase == Phase.ALIGN:
+            error, turn = self._tool_error(r, p)
+            good = error < s.aligned and turn < s.aligned_turn
+            p = p._replace(settled=p.settled + 1 if good else 0)
+            if p.settled >= 3:
+                return self._go(p, Phase.APPROACH)
+            return self._give_up(p) if late else p
+        if p.phase == Phase.APPROACH:
+            return self._approach(r, p, late)
+        if p.phase == Phase.CLOSE:
+            return self._close(r, p, late)
+        if p.phase == Phase.LIFT:
+            empty = any(
+                hand.opening < s.held * grasp.width - 0.001
+                for hand, grasp in zip(r.hands, p.manoeuvre.hands, strict=True)
+            )
+            p = p._replace(
+                height=min(p.height + s.lift_speed * s.step, s.lift), settled=p.settled + 1 if empty else 0
+            )
+            return self._give_up(p) if p.settled >= 10 else p
+        if p.phase == Phase.RELEASE:
+            return self._go(p, Phase.RETREAT) if time > 0.5 else p
+        return self._go(p, Phase.LOOK, manoeuvre=None) if time > 1.0 else p  # RETREAT
+
+    def _plan(self, r: Reading, p: Pilot) -> Pilot:
+        T = p.track.pose
+        level = np.eye(4)
+        level[:3, :3] = p.track.attitude
+        T = level @ T
+        seat = p.track.points[1] - p.track.at
+        # the support's normal errs with the object's rotation, which has been filtered: keep them together
+        up = p.track.rotation @ (r.T_body_object[:3, :3].T @ r.support[0])
+        scene = Scene(T, r.cloud[:, :3], r.cloud[:, 3:], seat, up / np.linalg.norm(up))
+        manoeuvre = self.planner(scene, p.failed)
+        if manoeuvre is None:
+            return p._replace(since=0, failed=())
+        wanted = seat + manoeuvre.T_level_object[:3, 3] - T[:3, 3]
+        return self._go(p, Phase.TRANSIT, manoeuvre=manoeuvre, seat=wanted, travel=self.settings.back, height=0.0)
+
+    def _approach(self, r: Reading, p: Pilot, late: bool) -> Pilot:
+        s = self.settings
+        error, turn = self._tool_error(r, p)
+        travel = p.travel
+        if error < 1.5 * s.aligned and turn < 1.5 * s.aligned_turn:
+            travel = max(travel - s.approach_speed * s.step, 0.0)
+        p = p._replace(travel=travel, settled=p.settled + 1 if travel <= 0.0 and error < s.reached else 0)
+        if p.settled < 3 and not late:
+            return p
+        if travel > 0.02:
+            return self._give_up(p)
+        return self._go(p, Phase.CLOSE, anchors=self._anchors(p))
+
+    def _close(self, r: Reading, p: Pilot, late: bool) -> Pilot:
+        s = self.settings
+        assert p.manoeuvre is not None
+        grips = [hand.load > s.stalled for hand in r.hands]
+        p = p._replace(settled=p.settled + 1 if all(grips) else 0)
+        if p.settled < 5 and not late:
+            return p
+        holds = [
+            hand.load > 0.3 * s.stalled and hand.opening > s.held * grasp.width
+            for hand, grasp in zip(r.hands, p.manoeuvre.hands, strict=True)
+        ]
+        return self._go(p, Phase.LIFT) if all(holds) else self._give_up(p)
+
+    def _give_up(self, p: Pilot) -> Pilot:
+        assert p.manoeuvre is not None
+        return self._go(p, Phase.RELEASE, failed=(*p.failed, p.manoeuvre.hands[0].T_object_grasp))
+
+    # --- where things are ---------------------------------------------------------------------------------------------
+
+    def _base_error(self, p: Pilot, above: float) -> Array:
+        """(3,) how far the body has to go [m], odometry axes, to be `above` its place."""
+        return np.asarray(p.track.points[1] - p.track.at - p.seat + (0.0, 0.0, above))
+
+    def _target(self, p: Pilot, k: int) -> Array:
+        """T_body_tool (4, 4) wanted of an arm's tool now."""
+        assert p.manoeuvre is not None
+        if p.phase == Phase.CLOSE:
+            T = np.eye(4)
+            T[:3, :3] = p.track.attitude.T @ p.anchors[k, :3, :3]
+            T[:3, 3] = p.track.point(1) + p.track.attitude.T @ p.anchors[k, :3, 3]
+            return T
+        T = p.track.pose @ p.manoeuvre.hands[k].T_object_grasp
+        T[:3, 3] -= p.travel * T[:3, 2]
+        return np.asarray(T)
+
+    def _anchors(self, p: Pilot) -> Array:
+        """Where the tools are wanted, held to the seat: the object moves when it is touched."""
+        anchors = np.tile(np.eye(4), (len(self.arms), 1, 1))
+        for k in range(len(self.arms)):
+            T = self._target(p, k)
+            anchors[k, :3, :3] = p.track.attitude @ T[:3, :3]
+            anchors[k, :3, 3] = p.track.attitude @ (T[:3, 3] - p.track.point(1))
+        return anchors
+
+    def _tool_error(self, r: Reading, p: Pilot) -> tuple[float, float]:
+        """The largest distance [m] and angle [rad] of a tool from its target."""
+        error = turn = 0.0
+        for k, hand in enumerate(r.hands):
+            T = self._target(p, k)
+            error = max(error, float(np.linalg.norm(T[:3, 3] - hand.tool[:3, 3])))
+            cosine = 0.5 * (np.einsum("ij,ij", T[:3, :3], hand.tool[:3, :3]) - 1.0)
+            turn = max(turn, float(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return error, turn
+
+    def _postured(self, r: Reading, p: Pilot) -> bool:
+        assert p.manoeuvre is not None
+        pairs = zip(r.hands, p.manoeuvre.hands, strict=True)
+        return all(bool(np.abs(hand.q - grasp.q_before).max() < 0.15) for hand, grasp in pairs)
+
+    # --- commands -----------------------------------------------------------------------------------------------------
+
+    def _without_sight(self, r: Reading, p: Pilot) -> tuple[Array, Pilot]:
+        """The arms hold; if the estimate stays away, jaws open and the base climbs, and all begins anew."""
+        rates = [np.zeros(n) for n in self.joints]
+        velocity, drive = p.track.drifts[1].copy(), 0.0
+        if r.age > self.settings.lost:
+            velocity[2] += 0.5 * self.settings.base_speed
+            drive = -1.0
+            p = self._go(p, Phase.LOOK, manoeuvre=None)
+        return self._action(r, velocity, rates, [drive] * len(self.arms)), p
+
+    def _command(self, r: Reading, p: Pilot) -> Array:
+        s = self.settings
+        above = s.above if p.phase == Phase.TRANSIT else s.retreat if p.phase == Phase.RETREAT else p.height
+        velocity = s.base_gain * self._base_error(p, above)
+        speed = float(np.linalg.norm(velocity))
+        velocity = velocity * min(1.0, s.base_speed / max(speed, 1e-9)) + p.track.drifts[1]
+        rates, drives = [], []
+        for k, hand in enumerate(r.hands):
+            rates.append(self._arm_rates(r, p, k, hand))
+            drives.append(self._drive(p, k, hand))
+        return self._action(r, velocity, rates, drives)
+
+    def _arm_rates(self, r: Reading, p: Pilot, k: int, hand: Hand) -> Array:
+        s = self.settings
+        if p.manoeuvre is None or p.phase in (Phase.LOOK, Phase.LIFT, Phase.RELEASE):
+            return np.zeros(self.joints[k])
+        grasp = p.manoeuvre.hands[k]
+        if p.phase in (Phase.TRANSIT, Phase.RETREAT):
+            return joint_rates(hand.q + hand.lag, grasp.q_before, s.posture_rate)
+        T = self._target(p, k)
+        point = 1 if p.phase == Phase.CLOSE else 0
+        twist = target_twist(T, p.track.attitude.T @ p.track.drifts[point], r.velocity, r.gyro)
+        if p.phase == Phase.APPROACH and p.travel > 0.0:
+            twist[:3] += s.approach_speed * T[:3, 2]
+        return servo_rates(self.arms[k], hand.q, hand.lag, T, twist, self.servo).rates
+
+    def _drive(self, p: Pilot, k: int, hand: Hand) -> float:
+        """Of the jaws, a share of their speed: > 0 closes."""
+        s = self.settings
+        if p.phase in (Phase.CLOSE, Phase.LIFT):
+            return 1.0
+        if p.manoeuvre is None or p.phase in (Phase.RELEASE, Phase.RETREAT):
+            return -1.0
+        grasp = p.manoeuvre.hands[k]
+        wanted = min(grasp.opening, grasp.width + s.room)
+        return float(np.clip((hand.opening - wanted) / 0.01, -1.0, 1.0)) if abs(hand.opening - wanted) > 0.002 else 0.0
+
+    def _action(self, r: Reading, velocity: Array, rates: list[Array], drives: list[float]) -> Array:
+        """Scaled; the velocity (3,) is in odometry axes and goes out in the heading's."""
+        s = self.settings
+        heading = attitude_matrix((0.0, 0.0, float(r.rpy[2])))
+        parts = [heading.T @ velocity / s.velocity_limit]
+        for rate, drive in zip(rates, drives, strict=True):
+            parts += [rate / s.joint_rate, np.array([drive])]
+        return np.clip(np.concatenate(parts), -1.0, 1.0)
