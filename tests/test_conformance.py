@@ -22,12 +22,18 @@ from aerograsp_env.envs.dock import DockAttachEnv, DockEnv
 from aerograsp_env.envs.grasp_options import GraspRandomizeConfig
 from aerograsp_env.envs.grasp_plan import GraspPlanEnv
 from aerograsp_env.envs.options import available_render_modes
+from aerograsp_env.envs.reach import ReachEnv, reach_task
 from aerograsp_env.registration import ENTRY_POINTS
 from aerograsp_env.rewards import tolerance
 from aerograsp_env.sim.config import DockConfig, RandomizeConfig
 from aerograsp_env.sim.depth_view import DepthCameraConfig
 from aerograsp_env.sim.grasp_judge import JudgeConfig
 from aerograsp_env.sim.gripper import GripperConfig
+from aerograsp_env.sim.manipulation.config import (
+    ManipulationConfig,
+    ManipulationRandomizeConfig,
+    PoseEstimateConfig,
+)
 from aerograsp_env.sim.objects import test_objects as named_objects
 from aerograsp_env.sim.scene import JOINT_NAMES, PIPE_HEIGHT
 from aerograsp_env.sim.sensors import SensorConfig
@@ -35,8 +41,9 @@ from aerograsp_env.sim.wind import WindConfig
 
 IDS = tuple(ENTRY_POINTS)
 PLAN = "aerograsp/GraspPlan-v0"
+REACH = "aerograsp/Reach-v0"
 DOCKS = (DOCK, ATTACH)
-CLASSES = {DOCK: DockEnv, ATTACH: DockAttachEnv, PLAN: GraspPlanEnv}
+CLASSES = {DOCK: DockEnv, ATTACH: DockAttachEnv, PLAN: GraspPlanEnv, REACH: ReachEnv}
 SMALL: dict[str, Any] = {"width": 48, "height": 40}
 
 # Every value of every named option, and one instance of each configuration.
@@ -71,12 +78,36 @@ PLAN_OPTIONS: list[dict[str, Any]] = [
     *({"render_mode": mode} for mode in (None, "rgb_array", "depth_array")),
     *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front", "view")),
 ]
-OPTIONS = {DOCK: DOCK_OPTIONS, ATTACH: DOCK_OPTIONS, PLAN: PLAN_OPTIONS}
+REACH_OPTIONS: list[dict[str, Any]] = [
+    {},
+    *({"vehicle": name} for name in ("belerofonte", "aquiles")),
+    *({"action_mode": mode} for mode in ("joint_velocity", "ee_twist")),
+    {"vehicle": "aquiles", "action_mode": "ee_twist"},
+    *({"target_speed": speed} for speed in (0.0, 0.2)),
+    *({"pose": pose} for pose in ("exact", "estimated")),
+    *({"pose": "estimated", "estimate": value} for value in (PoseEstimateConfig(delay=0.2), {"loss_interval": 1.0})),
+    *({"wind": wind} for wind in ("calm", "light", "gusty", WindConfig(4.0, 0.3, 1.0), {"mean_speed": 1.0})),
+    *({"localization": source} for source in ("gps", "vision", "truth")),
+    *({"payload": mass} for mass in (0.0, 0.3)),
+    *({"com_feedforward": value} for value in (True, False)),
+    *({"command_delay": delay} for delay in (0.0, 0.1, (0.06, 0.10))),
+    *(
+        {"randomize": value}
+        for value in (False, True, ManipulationRandomizeConfig(mass=(1.1, 1.2)), {"servo_gains": (1.0, 2.0)})
+    ),
+    {"sensors": SensorConfig().scaled(0.5)},
+    {"autopilot": {"mpc_xy_vel_p_acc": 2.5}},
+    {"config": ManipulationConfig(active=("right", "left"), joint_rate=1.0)},
+    *({"reward_mode": mode} for mode in ("dense", "sparse")),
+    *({"render_mode": mode} for mode in (None, *available_render_modes())),
+    *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front", "close", "vehicle")),
+]
+OPTIONS = {DOCK: DOCK_OPTIONS, ATTACH: DOCK_OPTIONS, PLAN: PLAN_OPTIONS, REACH: REACH_OPTIONS}
 
 
 def make(env_id: str = DOCK, **options: Any) -> Any:
     """The bare environment of any id, without Gymnasium's wrappers."""
-    return gymnasium.make(env_id, **options).unwrapped if env_id == PLAN else make_dock(env_id, **options)
+    return make_dock(env_id, **options) if env_id in DOCKS else gymnasium.make(env_id, **options).unwrapped
 
 
 def named(options: dict[str, Any]) -> str:
@@ -110,7 +141,7 @@ def test_gymnasiums_and_stable_baselines3s_checkers_find_nothing(env_id, options
         warnings.simplefilter("error")
         env = gymnasium.make(env_id, **SMALL, **options)
         check_env(env.unwrapped)
-        sb3_check_env(env, warn=True)
+        sb3_check_env(env.unwrapped if hasattr(env.unwrapped, "compute_reward") else env, warn=True)
         env.close()
 
 
@@ -126,6 +157,8 @@ def test_the_options_above_name_every_option_there_is():
     known = {*inspect.signature(DockBase.__init__).parameters, *inspect.signature(dock_config).parameters}
     looks = {"width", "height", "render_backend", "render_samples"}  # only how pictures are drawn
     assert known - {"self", "options", "attach"} - looks == {name for options in DOCK_OPTIONS for name in options}
+    known = {*inspect.signature(ReachEnv.__init__).parameters, *inspect.signature(reach_task).parameters}
+    assert known - {"self", "options"} - looks == {name for options in REACH_OPTIONS for name in options}
     known = {*inspect.signature(GraspPlanEnv.__init__).parameters}
     assert known - {"self"} - looks == {name for options in PLAN_OPTIONS for name in options}
 
@@ -162,7 +195,9 @@ def truth(env) -> tuple[np.ndarray, ...]:
     return (
         state, full, data.ctrl.copy(), data.xfrc_applied.copy(), data.qacc_warmstart.copy(), data.sensordata.copy(),
         model.body_mass.copy(), model.body_inertia.copy(), model.body_subtreemass.copy(), model.dof_damping.copy(),
-        model.jnt_stiffness.copy(), model.dof_invweight0.copy(),
+        model.jnt_stiffness.copy(), model.dof_invweight0.copy(), model.actuator_gainprm.copy(),
+        model.actuator_biasprm.copy(), model.actuator_forcerange.copy(), model.geom_friction.copy(),
+        np.frombuffer(getattr(worlds, "records", np.zeros(0)).tobytes(), np.uint8),
         np.frombuffer(worlds.parameters.tobytes(), np.uint8), np.frombuffer(worlds.states.tobytes(), np.uint8),
         worlds._noise.copy(), worlds._cursors.copy(), worlds.terms.copy(), worlds.metrics.copy(), worlds.flags.copy(),
         generator,
@@ -174,10 +209,19 @@ VARIANTS = [
     {"randomize": True, "command_delay": (0.02, 0.10)},
     {"wind": "gusty", "localization": "gps", "docked": False},
 ]
+REACH_VARIANTS: list[dict[str, Any]] = [
+    {},
+    {"randomize": True, "command_delay": (0.02, 0.10), "pose": "estimated", "wind": "gusty"},
+    {"vehicle": "aquiles", "action_mode": "ee_twist", "payload": 0.2},
+]
 PLAN_VARIANTS: list[dict[str, Any]] = [{}, {"randomize": True, "objects": "train"}, {"points": 64}]
 every_variant = pytest.mark.parametrize(
     ("env_id", "options"),
-    [*((env_id, options) for env_id in DOCKS for options in VARIANTS), *((PLAN, options) for options in PLAN_VARIANTS)],
+    [
+        *((env_id, options) for env_id in DOCKS for options in VARIANTS),
+        *((PLAN, options) for options in PLAN_VARIANTS),
+        *((REACH, options) for options in REACH_VARIANTS),
+    ],
     ids=lambda value: named(value) if isinstance(value, dict) else value,
 )
 
@@ -193,8 +237,14 @@ def test_a_seed_determines_everything(env_id, options):
     assert not equal(a[0][0], other[0][0])
 
 
-@every_dock
-@pytest.mark.parametrize("options", VARIANTS, ids=named)
+@pytest.mark.parametrize(
+    ("env_id", "options"),
+    [
+        *((env_id, options) for env_id in DOCKS for options in VARIANTS),
+        *((REACH, options) for options in REACH_VARIANTS),
+    ],
+    ids=lambda value: named(value) if isinstance(value, dict) else value,
+)
 def test_reset_restores_the_whole_simulator(env_id, options):
     fresh, used = make(env_id, **options), make(env_id, **options)
     fresh.reset(seed=3)
@@ -218,9 +268,14 @@ def test_reset_restores_the_whole_simulator(env_id, options):
     if options.get("randomize"):  # what a draw changes
         model.body("airframe").mass *= 1.5
         model.body("airframe").inertia *= 0.5
-        model.joint("flex").stiffness *= 2.0
-        for name in JOINT_NAMES:
-            model.joint(name).damping *= 3.0
+        if env_id == REACH:
+            model.body_mass *= 2.0
+            for array in (model.actuator_gainprm, model.actuator_forcerange, model.geom_friction):
+                array *= 1.5
+        else:
+            model.joint("flex").stiffness *= 2.0
+            for name in JOINT_NAMES:
+                model.joint(name).damping *= 3.0
     used.reset(seed=3)
     for x, y in zip(truth(fresh), truth(used), strict=True):
         assert np.array_equal(x, y)
@@ -467,7 +522,7 @@ def test_the_documented_reward_table_is_the_rewards(env_id):
 
 @every_id
 def test_the_documented_options_exist(env_id):
-    text = inspect.getdoc(CLASSES[PLAN if env_id == PLAN else DOCK])
+    text = inspect.getdoc(CLASSES[DOCK if env_id in DOCKS else env_id])
     options = text[text.index("Options:") :]
     names = set(re.findall(r"`(\w+)", options)) - {"aerograsp_env"}
     assert names and names <= {key for option in OPTIONS[env_id] for key in option}
@@ -554,9 +609,37 @@ PLAN_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
 ]
 
 
+REACH_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
+    ({"vehicle": "aquilles"}, ("vehicle", "'aquiles'")),
+    ({"action_mode": "joints"}, ("action_mode", "'joint_velocity'")),
+    ({"target_speed": -0.1}, ("target_speed",)),
+    ({"target_speed": "fast"}, ("target_speed", "'fast'")),
+    ({"pose": "exakt"}, ("pose", "'exact'")),
+    ({"pose": "estimated", "estimate": {"rate": 60.0}}, ("rate", "50")),
+    ({"pose": "estimated", "estimate": {"delay": 1.0}}, ("delay",)),
+    ({"estimate": {"position_std": -1.0}}, ("position_std",)),
+    ({"estimate": 0.01}, ("estimate", "PoseEstimateConfig")),
+    ({"wind": "gustyy"}, ("wind", "'gusty'")),
+    ({"localization": "dock"}, ("localization", "'vision'")),
+    ({"payload": -1.0}, ("payload",)),
+    ({"payload": "heavy"}, ("payload", "'heavy'")),
+    ({"com_feedforward": 1}, ("com_feedforward",)),
+    ({"command_delay": 1.0}, ("command_delay", "0.28")),
+    ({"randomize": {"mas": (1, 1)}}, ("randomize", "mas")),
+    ({"randomize": {"mass": (2, 1)}}, ("mass",)),
+    ({"sensors": 0.1}, ("sensors", "SensorConfig")),
+    ({"config": {}}, ("config", "ManipulationConfig")),
+    ({"vehicel": "aquiles"}, ("vehicel", "did you mean 'vehicle'")),
+    ({"reward_mode": "spars"}, ("reward_mode", "'sparse'")),
+    ({"camera": "top"}, ("camera", "'side'")),
+    ({"width": 0}, ("width",)),
+]
+
+
 @pytest.mark.parametrize(
     ("env_id", "options", "words"),
     [
+        *((REACH, options, words) for options, words in REACH_REFUSALS),
         *((env_id, options, words) for env_id in DOCKS for options, words in DOCK_REFUSALS),
         *((PLAN, options, words) for options, words in PLAN_REFUSALS),
     ],

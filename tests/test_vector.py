@@ -10,13 +10,16 @@ import pytest
 from dock_worlds import ATTACH, DOCK
 from gymnasium.vector import AutoresetMode
 
+from aerograsp_env.manipulation_vector import ReachVectorEnv
 from aerograsp_env.vector import DockAttachVectorEnv, DockVectorEnv
 from aerograsp_env.wrappers import ResidualAction, ResidualActionVector
 from baselines.policies.dock import pid, pid_tuned
 
-IDS = (DOCK, ATTACH)
-NATIVE = {DOCK: DockVectorEnv, ATTACH: DockAttachVectorEnv}
+REACH = "aerograsp/Reach-v0"
+NATIVE = {DOCK: DockVectorEnv, ATTACH: DockAttachVectorEnv, REACH: ReachVectorEnv}
+IDS = tuple(NATIVE)
 HARD: dict[str, Any] = {"randomize": True, "command_delay": (0.02, 0.10), "wind": "gusty"}
+MORE: dict[str, dict[str, Any]] = {REACH: {"pose": "estimated", "action_mode": "ee_twist", "payload": 0.2}}  # HARD too
 every_id = pytest.mark.parametrize("env_id", IDS)
 
 
@@ -25,7 +28,12 @@ def native(env_id: str, n: int, **options: Any):
 
 
 def actions_of(env_id: str, observation: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-    """Some that keep a world going and explore: towards the set-point, or the seat, with noise."""
+    """Some that keep a world going and explore: towards the set-point, the seat or the target, with noise."""
+    if env_id == REACH:
+        n, size = observation["observation"].shape[0], 6
+        goal = np.zeros((n, size))
+        goal[:, :3] = observation["desired_goal"] - observation["achieved_goal"]
+        return np.clip(2.0 * goal + rng.normal(0.0, 0.2, goal.shape), -1.0, 1.0).astype(np.float32)
     key = "position_error" if env_id == DOCK else "seat_offset"
     goal = 1.5 * observation[key]
     action = np.clip(goal + rng.normal(0.0, 0.1, goal.shape), -0.6, 0.6)
@@ -56,9 +64,10 @@ def assert_same(single: Any, batched: Any) -> None:
 
 @every_id
 @pytest.mark.parametrize("mode", ["next_step", "same_step", "disabled"])
-@pytest.mark.parametrize("options", [{}, HARD], ids=["default", "hard"])
-def test_a_batch_equals_single_worlds_exactly_across_episodes(env_id, mode, options):
+@pytest.mark.parametrize("hard", [False, True], ids=["default", "hard"])
+def test_a_batch_equals_single_worlds_exactly_across_episodes(env_id, mode, hard):
     n, limit, seed = 3, 150, 40
+    options = HARD | MORE.get(env_id, {}) if hard else {}
     batch = native(env_id, n, max_episode_steps=limit, autoreset_mode=mode, **options)
     singles = [gymnasium.make(env_id, max_episode_steps=limit, **options) for _ in range(n)]
     rng = np.random.default_rng(0)
@@ -119,7 +128,8 @@ def test_a_whole_episode_of_sixty_seconds_is_equal():
 @pytest.mark.parametrize("env_id", IDS)
 def test_threads_change_nothing(env_id):
     n = 16
-    one, two = native(env_id, n, threads=1, **HARD), native(env_id, n, threads=2, **HARD)
+    options = HARD | MORE.get(env_id, {})
+    one, two = native(env_id, n, threads=1, **options), native(env_id, n, threads=2, **options)
     rng = np.random.default_rng(0)
     observation, _ = one.reset(seed=0)
     assert_same(observation, two.reset(seed=0)[0])

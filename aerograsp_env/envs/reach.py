@@ -105,12 +105,13 @@ class ReachEnv(GoalReward, ManipulationEnv):
     pitch) [rad], target_age 1 (since the image that `desired_goal` comes from) [s], previous_action (as many as the
     action has).
 
-    Reward (dense): `distance`; sparse: `outside`. With d = |achieved_goal − desired_goal|, as observed:
+    Reward (dense), with d = |achieved_goal − desired_goal| as observed:
 
     | term | value |
     | --- | --- |
     | distance | −d |
-    | outside | −1 where d > 0.02 m, else 0 |
+
+    Sparse: `outside`, −1 where d > 0.02 m, else 0.
 
     `compute_reward(achieved_goal, desired_goal, info)` gives exactly the step's reward, for arrays of goals too.
 

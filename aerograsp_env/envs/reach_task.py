@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aerograsp_env.envs.options import scalar
 from aerograsp_env.sim.config import CONTROL_STEP
 from aerograsp_env.sim.kernel_math import compiled
 from aerograsp_env.sim.manipulation import layout as lay
@@ -279,9 +280,9 @@ class ReachTask(Task):
 
     def __init__(self, config: ManipulationConfig, target_speed: float = 0.1) -> None:
         super().__init__(config)
-        if not (np.isfinite(target_speed) and 0.0 <= target_speed <= 1.0):
+        self.target_speed = scalar("target_speed", target_speed)
+        if not 0.0 <= self.target_speed <= 1.0:
             raise ValueError(f"target_speed must be in [0, 1] m/s, got {target_speed}")
-        self.target_speed = float(target_speed)
         dimensions, slots = arm_dimensions(config)
         self.actions, self.slots = tuple(dimensions), np.array(slots)
         self.arm = config.machine.mounts[0].arm

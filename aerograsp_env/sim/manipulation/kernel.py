@@ -65,7 +65,7 @@ def _velocity_set_point(p, s, r, back, qpos, out):
     if p.hold == 1:
         for i in range(3):
             out[i] = clip(
-                p.hold_p[i] * (p.hold_position[i] - s.autopilot_position[i]), -p.hold_limit[i], p.hold_limit[i]
+                p.hold_p[i] * (s.hold_set_point[i] - s.autopilot_position[i]), -p.hold_limit[i], p.hold_limit[i]
             )
     elif back >= 0:
         for i in range(3):
@@ -265,3 +265,5 @@ def read_worlds(pointers, parameters, states, noise, cursors, first, last):
             s.joints[:] = 0.0
             sample_joints(p, s, qpos, qvel, lay.SUBSTEPS - 1, row[lay.TOOL_FIRST :], 0)
         _read(pointers[n], p, s, row, 0.0)
+        for i in range(3):
+            s.hold_set_point[i] = s.autopilot_position[i] + p.hold_position[i] - s.position[i]

@@ -94,8 +94,8 @@ PARAMETERS = np.dtype(
         ("fixed_mass", F),  # of what does not move in the body frame
         ("fixed_center", F, (3,)),
         ("mixer_center", F, (3,)),  # centre of mass that the mixer was made for
-        ("hold", N),  # 1: the base holds `hold_position` by itself, 0: it follows velocity commands
-        ("hold_position", F, (3,)),
+        ("hold", N),  # 1: the base holds its place by itself, 0: it follows velocity commands
+        ("hold_position", F, (3,)),  # true, where it should be; the autopilot knows only its estimate of it
         ("hold_p", F, (3,)),
         ("hold_limit", F, (3,)),
         # commands
@@ -129,6 +129,7 @@ STATE = np.dtype(
         ("attitude", F, (3, 3)),  # R_world_body as estimated
         ("specific_force", F, (3,)),
         ("autopilot_position", F, (3,)),  # the autopilot's own filtered position estimate, world
+        ("hold_set_point", F, (3,)),  # what the autopilot took its place for when the episode began, world
         ("clamp_force_max", F),
         # arms
         ("command", F, (ARMS, JOINTS)),  # servo set-points [rad]
