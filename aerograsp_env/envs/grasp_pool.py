@@ -1,0 +1,126 @@
+"""Which object an episode is about, on what it stands, and how it lies there.
+
+Objects and poses are in the pool if parallel jaws can take them so, by geometry alone (`sim.manipulation.jaw_room`);
+none is exchanged because a policy fails on it. What is computed for a member is kept, and always the same.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections import OrderedDict
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.envs.grasp_levels import GraspLevel, slopes
+from aerograsp_env.envs.grasp_options import ObjectChoice
+from aerograsp_env.sim.gripper import GripperConfig
+from aerograsp_env.sim.manipulation.config import ManipulationConfig
+from aerograsp_env.sim.manipulation.jaw_room import can_be_taken
+from aerograsp_env.sim.manipulation.placing import PlacementError, place
+from aerograsp_env.sim.manipulation.scene import build_model
+from aerograsp_env.sim.manipulation.standing import standing
+from aerograsp_env.sim.manipulation.supports import Support, inclined_table, pipe_saddle, table
+from aerograsp_env.sim.objects import GraspObject
+
+Array = NDArray[np.float64]
+
+MEMBERS = 16  # of a family
+PLACEMENTS = 16  # of an object on a support
+HEIGHT = 2.6  # of a support's seat above its own world's floor [m]: its legs reach below the scene's
+PIPE_LENGTH = 1.2  # [m]: it ends clear of the rotors, however it is turned
+MODELS = 48  # compiled scenes that are kept
+_ATTEMPTS = 200
+
+
+class Setting(NamedTuple):
+    """An object at rest."""
+
+    item: GraspObject  # as it is in the pool: its mass and surface are drawn later
+    support: Support
+    T_world_object: Array  # (4, 4), in the support's own world
+
+
+@functools.cache
+def make_support(kind: str, slope: float, wide: bool = False) -> Support:
+    """A support in the middle of its own world, its way down along x; `wide` enough for the crawler."""
+    if kind == "saddle":
+        seat = (0.36, 0.36) if wide else (0.30, 0.24)
+        return pipe_saddle(slope, HEIGHT, seat, length=PIPE_LENGTH)
+    return table(HEIGHT) if slope == 0.0 else inclined_table(slope, HEIGHT)
+
+
+class GraspPool:
+    """What episodes are drawn from.
+
+    Args:
+        objects: as for `envs.grasp_options.ObjectChoice`; a family counts with `MEMBERS` members.
+        level: says what the objects stand on.
+        jaws: that must be able to take them; None: whatever fits on the supports (a place for other grippers).
+        wide: whether the supports are wide.
+    """
+
+    def __init__(self, objects: Any, level: GraspLevel, jaws: GripperConfig | None, wide: bool = False) -> None:
+        self._choice = ObjectChoice(objects)
+        self.names = self._choice.names
+        self._level, self._jaws, self._wide = level, jaws, wide
+        self._slopes = slopes(level)
+        self._items: dict[tuple[str, int], GraspObject] = {}
+        self._settings: dict[tuple[GraspObject, Support, int], Setting | None] = {}
+        self._models: OrderedDict[tuple[GraspObject, Support], mujoco.MjModel] = OrderedDict()
+
+    def item(self, name: str, member: int) -> GraspObject:
+        """A member of a family; of a name that stands for one object, that object."""
+        if (name, member) not in self._items:
+            rng = np.random.default_rng([member, *name.encode()])
+            self._items[name, member] = self._choice.makers[name](rng)
+        return self._items[name, member]
+
+    def draw(self, rng: np.random.Generator, name: str | None = None) -> Setting:
+        """Name, member, support and slope uniformly, then a pose in which it can be taken.
+
+        Raises:
+            ValueError: none was found: the object is too large, or too wide for the jaws however it lies.
+        """
+        wanted = name
+        for _ in range(_ATTEMPTS):
+            name = wanted if wanted is not None else self.names[int(rng.integers(len(self.names)))]
+            item = self.item(name, int(rng.integers(MEMBERS)))
+            kind = self._level.supports[int(rng.integers(len(self._level.supports)))]
+            support = make_support(kind, self._slopes[int(rng.integers(len(self._slopes)))], self._wide)
+            first = int(rng.integers(PLACEMENTS))
+            for k in range(PLACEMENTS):
+                setting = self._setting(item, support, (first + k) % PLACEMENTS)
+                if setting is not None:
+                    return setting
+        raise ValueError(
+            f"objects: expected some that stand on {', '.join(self._level.supports)} and that jaws of 0.10 m can take "
+            f"there, got {wanted or ', '.join(self.names)}"
+        )
+
+    def _setting(self, item: GraspObject, support: Support, index: int) -> Setting | None:
+        key = (item, support, index)
+        if key not in self._settings:
+            self._settings[key] = self._found(*key)
+        return self._settings[key]
+
+    def _found(self, item: GraspObject, support: Support, index: int) -> Setting | None:
+        try:
+            T = place(item, support, np.random.default_rng([index, *item.name.encode()]))
+        except PlacementError:
+            return None
+        if self._jaws is not None and not can_be_taken(item, T, support, self._jaws):
+            return None
+        return Setting(item, support, T)
+
+    def model(self, config: ManipulationConfig, setting: Setting) -> mujoco.MjModel:
+        """The compiled scene with the pool's own object; copy it before you change it."""
+        key = setting.item, setting.support
+        if key not in self._models:
+            self._models[key] = build_model(config, [standing(*key)])
+        self._models.move_to_end(key)
+        while len(self._models) > MODELS:
+            self._models.popitem(last=False)
+        return self._models[key]
