@@ -22,4 +22,7 @@ POLICIES: dict[str, dict[str, str]] = {
         "dls": "baselines.policies.reach:dls",
         "dls-no-feedforward": "baselines.policies.reach:dls_no_feedforward",
     },
+    "aerograsp/Grasp-v0": {
+        "grasp-dls": "baselines.policies.grasp:grasp_dls",
+    },
 }
