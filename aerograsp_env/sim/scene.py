@@ -28,19 +28,16 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     return q
 
 
-def airframe_geoms(airframe: AirframeConfig, holder: bool = True, skids: bool = True) -> str:
+def _airframe_geoms(airframe: AirframeConfig) -> str:
     """What of the airframe collides: hub, battery and computer, rotor discs, skids, the arm that holds the tool."""
     length, tip = airframe.arm_length, airframe.tip_position
     lines = [
         f'<geom name="hub" type="cylinder" size="{numbers(0.30 * length, 0.04)}" material="shell" class="solid"/>',
         f'<geom type="box" pos="0 0 {-0.15 * length - 0.04:.4g}" size="{numbers(0.2 * length, 0.14 * length, 0.06)}" '
         'material="dark" class="solid"/>',
+        f'<geom name="holder" type="capsule" fromto="0 {numbers(tip[1], tip[2])} {numbers(*tip)}" size="0.018" '
+        'material="metal" class="solid"/>',
     ]
-    if holder:
-        lines.append(
-            f'<geom name="holder" type="capsule" fromto="0 {numbers(tip[1], tip[2])} {numbers(*tip)}" size="0.018" '
-            'material="metal" class="solid"/>'
-        )
     for i, p in enumerate(airframe.rotor_positions()):
         front = abs(airframe.angles[i]) < 1.0
         lines.append(
@@ -48,7 +45,7 @@ def airframe_geoms(airframe: AirframeConfig, holder: bool = True, skids: bool = 
             f'material="{"front" if front else "disc"}" class="solid"/>'
             f'<site name="rotor{i}" pos="{numbers(*p)}"/>'
         )
-    for y in (-0.45 * length, 0.45 * length) if skids else ():
+    for y in (-0.45 * length, 0.45 * length):
         x, z = 0.5 * length, -0.75 * length
         lines.append(
             f'<geom type="capsule" fromto="{numbers(-x, y, z, x, y, z)}" size="0.01" material="dark" class="solid"/>'
@@ -149,7 +146,7 @@ def scene_xml(airframe: AirframeConfig, tool: DockingToolConfig, look: bool = Fa
       <freejoint name="airframe"/>
       <inertial pos="{numbers(*com)}" mass="{mass:.9g}" fullinertia="{numbers(*full)}"/>
       <site name="airframe"/>
-      {airframe_geoms(airframe)}
+      {_airframe_geoms(airframe)}
       {airframe_look(airframe)}
       <body name="tool_tip" pos="{numbers(*airframe.tip_position)}" quat="{numbers(*quaternion(R_TIP_BODY.T))}">
         <joint name="flex" type="hinge" axis="0 0 1" stiffness="{tool.flex_stiffness:.6g}"

@@ -5,6 +5,8 @@ Physics is in `aerograsp_env.sim.scene`; nothing here changes a trajectory.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from aerograsp_env.sim.airframe import AirframeConfig
@@ -69,9 +71,16 @@ def _ellipsoid(center: tuple[float, ...], radii: tuple[float, ...], material: st
     )
 
 
-def camera_heading(name: str) -> float:
-    """Heading of a camera's line of sight about world z [rad]."""
-    position, target, _ = _CAMERAS[name]
+def camera_heading(name: str) -> float | None:
+    """Heading of a fixed camera's line of sight about world z [rad]; None of one that is not fixed."""
+    return line_of_sight(_CAMERAS, name)
+
+
+def line_of_sight(cameras: Mapping[str, tuple[tuple[float, ...], tuple[float, ...], float]], name: str) -> float | None:
+    """`camera_heading` among any cameras."""
+    if name not in cameras:
+        return None
+    position, target, _ = cameras[name]
     return float(np.arctan2(target[1] - position[1], target[0] - position[0]))
 
 
@@ -86,16 +95,17 @@ def camera_look() -> str:
     return "\n    ".join(lines)
 
 
-def airframe_look(airframe: AirframeConfig, arms: bool = True, legs: bool = True) -> str:
-    """Canopy, booms, motors, propellers, legs; and the arms, where the airframe has them (tool held aside)."""
+def airframe_look(airframe: AirframeConfig, bare: bool = False) -> str:
+    """Canopy, booms, motors, propellers; and, unless `bare`, camera, legs and arms, where the airframe has them."""
     length = airframe.arm_length
     scale = length / 0.42
     lines = [
         _ellipsoid((0.0, 0.0, 0.035 * scale), (0.115 * scale, 0.095 * scale, 0.06 * scale), "canopy"),
         _cylinder((0.0, 0.0, 0.112 * scale), 0.028 * scale, 0.008 * scale, "shell"),  # GPS puck on its mast
         _cylinder((0.0, 0.0, 0.09 * scale), 0.005 * scale, 0.03 * scale, "dark"),
-        _box((0.13 * scale, 0.0, -0.085 * scale), (0.014 * scale, 0.045 * scale, 0.016 * scale), "dark"),  # camera
     ]
+    if not bare:
+        lines.append(_box((0.13 * scale, 0.0, -0.085 * scale), (0.014 * scale, 0.045 * scale, 0.016 * scale), "dark"))
     for i, hub in enumerate(airframe.rotor_positions()):
         x, y, z = (float(v) for v in hub)
         front = abs(airframe.angles[i]) < 1.0
@@ -112,13 +122,13 @@ def airframe_look(airframe: AirframeConfig, arms: bool = True, legs: bool = True
                 f'euler="0 0 {turn:.4g}" material="{"clamp" if front else "dark"}" class="look"/>'
             )
     drop = 0.75 * length
-    for side in (-1.0, 1.0) if legs else ():
+    for side in (-1.0, 1.0) if not bare else ():
         y = 0.45 * length * side
         for x in (-0.25 * length, 0.25 * length):
             lines.append(_capsule((0.6 * x, 0.4 * y, -0.03), (x, y, -drop), 0.010 * scale, "carbon"))
         for x in (-0.5 * length, 0.5 * length):  # rubber feet
             lines.append(_capsule((0.86 * x, y, -drop), (x, y, -drop), 0.017 * scale, "dark"))
-    if arms and airframe.tip_position[1] != 0.0:
+    if not bare and airframe.tip_position[1] != 0.0:
         lines += _arms(airframe.tip_position)
     return "\n".join(lines)
 

@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from aerograsp_env.sim.arms.vehicles import VehicleConfig
 from aerograsp_env.sim.manipulation.config import HOVER
 from aerograsp_env.sim.scene_look import camera_look as docking_cameras
-from aerograsp_env.sim.scene_look import numbers
+from aerograsp_env.sim.scene_look import line_of_sight, numbers
 
 # name: position and what it looks at, from where the vehicle hovers [m], vertical field of view [deg] (MJCF's unit)
 _CAMERAS = {
     "side": ((1.05, -1.55, 0.35), (0.12, -0.05, -0.16), 38.0),
     "front": ((1.75, 0.55, 0.15), (0.05, -0.02, -0.16), 34.0),
-    "close": ((0.75, -0.95, -0.15), (0.20, -0.16, -0.32), 36.0),
+    "close": ((0.80, -1.05, -0.15), (0.20, -0.16, -0.34), 42.0),
 }
 CAMERAS = (*_CAMERAS, "vehicle")
+
+
+def camera_heading(name: str) -> float | None:
+    """Heading of a fixed camera's line of sight about world z [rad]; None of one that is not fixed."""
+    return line_of_sight(_CAMERAS, name)
 
 
 def camera_look(docking: bool) -> str:
@@ -28,6 +34,19 @@ def camera_look(docking: bool) -> str:
         axes = numbers(*right, *np.cross(back, right))
         lines.append(f'<camera name="{name}" pos="{numbers(*(HOVER + position))}" xyaxes="{axes}" fovy="{fovy:g}"/>')
     return "\n    ".join(lines)
+
+
+def mount_look(vehicle: VehicleConfig) -> str:
+    """Struts from the frame to the arms' bases."""
+    lines = []
+    for mount in vehicle.mounts:
+        x, y, z = mount.T_body_base[:3, 3]
+        for side in (-0.04, 0.04):
+            lines.append(
+                f'<geom type="capsule" fromto="{numbers(x + side, 0.6 * y, -0.01, x + 0.3 * side, y, z)}" size="0.010" '
+                'material="carbon" class="look"/>'
+            )
+    return "\n".join(lines)
 
 
 def target_look() -> str:

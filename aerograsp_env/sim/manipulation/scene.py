@@ -21,7 +21,7 @@ from aerograsp_env.sim.arms.vehicles import VehicleConfig
 from aerograsp_env.sim.docking_tool import R_TIP_BODY, R_WORLD_BASE
 from aerograsp_env.sim.manipulation.config import HOVER, ManipulationConfig
 from aerograsp_env.sim.manipulation.layout import CONTACTS
-from aerograsp_env.sim.manipulation.look import camera_look, target_look
+from aerograsp_env.sim.manipulation.look import camera_look, mount_look, target_look
 from aerograsp_env.sim.scene import DOCK_POSITION, PIPE_HEIGHT, PIPE_RADIUS, TIMESTEP, quaternion, tool_chain
 from aerograsp_env.sim.scene_look import ASSETS, LIGHT, airframe_look, numbers, pipe_look
 
@@ -115,7 +115,8 @@ def scene_xml(config: ManipulationConfig, look: bool = False) -> str:
       {_camera(vehicle)}
       {sites}
       {"".join(shape_geom(shape, "", AIRFRAME, _material(shape.name)) for shape in vehicle.shapes)}
-      {airframe_look(airframe, arms=False, legs=False)}
+      {airframe_look(airframe, bare=True)}
+      {mount_look(config.vehicle)}
       {chain if vehicle.tool else ""}
       {"".join(arm.body for arm in arms)}
     </body>
