@@ -9,6 +9,16 @@ from agents.policies import TRIVIAL, checkpoints, registered_policies
 from agents.table import Published, Row
 
 DOCK, GRASP_PLAN = "aerograsp/Dock-v0", "aerograsp/GraspPlan-v0"
+REACH, GRASP = "aerograsp/Reach-v0", "aerograsp/Grasp-v0"
+GRASP_DUAL, DOCK_MANIPULATE = "aerograsp/GraspDual-v0", "aerograsp/DockManipulate-v0"
+
+
+class Condition(NamedTuple):
+    """One of the circumstances that an id's policies are compared under."""
+
+    changes: dict[str, Any]  # what differs from the id's common options
+    options: dict[str, Any]  # all of the environment's
+    rows: list[Row]  # as `agents.robustness.measured_rows` gives them
 
 
 class Measured(NamedTuple):
@@ -22,6 +32,7 @@ class Measured(NamedTuple):
     policies: dict[str, Any]  # by name, those that ran
     quick: bool
     progress: bool
+    conditions: dict[str, Condition] = {}  # noqa: RUF012 (never changed) by name; the first is that of `rows`
 
 
 class Study(NamedTuple):
@@ -42,7 +53,10 @@ class Setup:
     quick_episodes: int = 10
     quick_rows: tuple[str, ...] = (*TRIVIAL, "pid", "pid-tuned", "lqg", "ppo")
     published: tuple[Published, ...] = ()
-    film_episodes: int = 1
+    film_episodes: int = 1  # of the best row; 0: none, for the study has films of its own
+    conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # name → changes; the first comes first
+    filmed: tuple[str, ...] = ()  # conditions that the study chooses its films from; by default the first
+    look: Mapping[str, Any] = field(default_factory=dict)  # of the study's films
     study: str = ""  # "module:function" of what the report adds: `study(Measured) -> Study`
 
     def rows(self, env_id: str, quick: bool) -> list[str]:
@@ -53,6 +67,15 @@ class Setup:
         seeds = [name for name in shipped if re.fullmatch(r".+-seed\d+", name)]
         missing = [kind for kind in self.learned if not any(name.startswith(f"{kind}-seed") for name in seeds)]
         return [*TRIVIAL, *analytic, *seeds, *missing]
+
+    def conditions_under(self, env_kwargs: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        """Name → changes of the conditions that these options of a caller do not contradict, at least one."""
+        fit = {
+            name: dict(changes)
+            for name, changes in self.conditions.items()
+            if all(env_kwargs.get(option, value) == value for option, value in changes.items())
+        }
+        return fit or {"": {}}
 
 
 SETUPS: dict[str, Setup] = {
@@ -76,6 +99,46 @@ SETUPS: dict[str, Setup] = {
         quick_rows=("random", "com", "cloud", "gpis", "learned", "oracle-mesh"),
         film_episodes=4,
         study="agents.grasp_report:study",
+    ),
+    REACH: Setup(
+        learned=("sac-her",),
+        conditions={
+            "moving": {},  # at 0.1 m/s, in light wind
+            "fixed": {"target_speed": 0.0},
+            "gusts": {"wind": "gusty"},
+            "delay": {"command_delay": (0.06, 0.1)},
+            "payload": {"payload": 0.3},
+            "estimated": {"pose": "estimated"},
+            "GPS": {"localization": "gps"},
+        },
+        quick_options={},
+        quick_rows=(*TRIVIAL, "dls", "dls-no-feedforward", "sac-her"),
+        film_episodes=0,
+        study="agents.manipulation_report:study",
+    ),
+    GRASP: Setup(
+        options={"objects": "test"},
+        episodes=200,
+        learned=("ppo-residual",),
+        conditions={level: {"level": level} for level in ("easy", "gusty", "biased", "oblique", "heavy")},
+        filmed=("easy", "gusty", "biased", "oblique", "heavy"),
+        quick_options={},
+        quick_episodes=5,
+        quick_rows=("zero", "grasp-dls", "ppo-residual"),
+        film_episodes=0,
+        look={"camera": "close"},
+        study="agents.manipulation_report:lifting_study",
+    ),
+    GRASP_DUAL: Setup(
+        learned=(),
+        conditions={level: {"level": level} for level in ("easy", "gusty")},
+        filmed=("easy", "gusty"),
+        quick_options={},
+        quick_episodes=5,
+        quick_rows=("zero", "dual-dls"),
+        film_episodes=0,
+        look={"camera": "close"},
+        study="agents.manipulation_report:lifting_study",
     ),
 }
 

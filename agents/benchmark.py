@@ -9,23 +9,19 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import gymnasium
+from typing import Any, NamedTuple
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
-from agents.bench_setup import DOCK, GRASP_PLAN, SETUPS, Measured, Study, setup_of
+from agents.bench_setup import DOCK, GRASP_PLAN, SETUPS, Condition, Measured, Study, setup_of
 from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import PolicyUnavailable, env_spec, spaces
 from agents.provenance import provenance
 from agents.report import pairings, write_report
+from agents.robustness import Robustness, measured_rows, robustness, tables_text
 from agents.rows import RowStore, load_all
 from agents.seeds import TEST_SEED
-from agents.table import Row, best_row, table_data, table_text, with_pooled
+from agents.table import Row, best_row, table_data, table_text, with_pooled, without_trainings
 from agents.traces import Trace, trace
-
-if TYPE_CHECKING:
-    from agents.robustness import Robustness
 
 CONDITIONS: dict[str, dict[str, Any]] = {env_id: dict(setup.options) for env_id, setup in SETUPS.items()}
 TRACE_STEPS = 1000
@@ -86,7 +82,11 @@ def bench(
     env_spec(env_id)
     setup = setup_of(env_id)
     folder = writable_folder(out_dir)
-    kwargs = {**setup.options, **(setup.quick_options if quick else {}), **(env_kwargs or {})}
+    base = {**setup.options, **(setup.quick_options if quick else {}), **(env_kwargs or {})}
+    conditions = setup.conditions_under(env_kwargs or {})
+    first, kwargs = next((name, {**base, **changes}) for name, changes in conditions.items())
+    for changes in conditions.values():
+        spaces(env_id, {**base, **changes})  # refuses unknown options
     episodes = episodes if episodes is not None else setup.quick_episodes if quick else setup.episodes
     names = list(dict.fromkeys(policies or default_rows(env_id, quick)))
     facts = provenance(command)
@@ -105,15 +105,21 @@ def bench(
         if traceable:
             steps = min(kwargs.get("max_episode_steps", TRACE_STEPS), TRACE_STEPS)
             traces.append(trace(env_id, policy, seed, {**kwargs, "max_episode_steps": steps}, name))
-    best = None if quick else best_row([row for row in rows if row.values])
+    best = None if quick or not setup.film_episodes else best_row([row for row in rows if row.values])
     film = None if best is None else film_of(env_id, best.policy, seed, kwargs, progress, setup.film_episodes)
     rows = with_pooled(rows)
+    studied = {first: Condition(conditions[first], kwargs, without_trainings(rows))}
+    for name, changes in list(conditions.items())[1:]:
+        options = {**base, **changes}
+        studied[name] = Condition(changes, options, measured_rows(store, name, options, loaded))
     ran = {name: policy for name, policy in loaded.items() if not isinstance(policy, PolicyUnavailable)}
-    measured = Measured(env_id, kwargs, seed, episodes, [row for row in rows if row.values], ran, quick, progress)
+    having = [row for row in rows if row.values]
+    measured = Measured(env_id, kwargs, seed, episodes, having, ran, quick, progress, studied)
     study = _study(setup.study, measured)
     settings = {
         "environment": env_id,
         "options": kwargs,
+        **({"condition": first} if first else {}),
         "episodes": f"{episodes} a policy, the same ones for each",
         "seeds": f"{seed} to {seed + episodes - 1}",
     }
@@ -121,14 +127,21 @@ def bench(
     table = table_text(rows, published=published)
     paired = [pair.to_dict() for pair in pairings(measured.rows)]
     content = {**table_data(rows, published), "paired": paired, **study.data}
+    tables = [table_text(rows, markdown=True, published=published)]
+    if len(studied) > 1:
+        by_condition = {name: condition.rows for name, condition in studied.items()}
+        table = f"{first}\n{table}\n\n{tables_text(by_condition, conditions)}"
+        tables = [f"## {first}", *tables, "## All conditions", tables_text(by_condition, conditions, markdown=True)]
+        content["conditions"] = {name: _condition_data(condition) for name, condition in studied.items()}
+    write_atomic(folder / "table.md", "\n\n".join(tables) + "\n")
     write_json(folder / "results.json", {"provenance": facts, "settings": {**settings, "seed": seed}, **content})
-    write_atomic(folder / "table.md", table_text(rows, markdown=True, published=published) + "\n")
     write_report(
         folder / "report.html",
         title=f"{env_id}: comparison of policies",
         rows=rows,
         provenance=facts,
         settings=settings,
+        condition=first,
         published=published,
         traces=traces,
         film=film,
@@ -146,6 +159,11 @@ def _study(function: str, measured: Measured) -> Study:
     return found
 
 
+def _condition_data(condition: Condition) -> dict[str, Any]:
+    paired = [pair.to_dict() for pair in pairings([row for row in condition.rows if row.values])]
+    return {"options": condition.options, "rows": table_data(condition.rows)["rows"], "paired": paired}
+
+
 def _film_caption(policy: str, episodes: int) -> str:
     if episodes == 1:
         return f"{policy}, the first seconds of the first pinned episode"
@@ -156,12 +174,9 @@ def film_of(
     env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], progress: bool = False, episodes: int = 1
 ) -> bytes | None:
     """A small GIF of a policy's first seconds; None where the id draws no pictures, or they cannot be drawn here."""
-    from agents.play import play
+    from agents.play import draws_pictures, play
 
-    env = gymnasium.make(env_id, disable_env_checker=True, **env_kwargs)
-    drawn = "rgb_array" in env.metadata.get("render_modes", ())
-    env.close()
-    if not drawn:
+    if not draws_pictures(env_id, env_kwargs):
         return None
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "film.gif"
@@ -219,8 +234,6 @@ def main(argv: list[str]) -> int:
     shared = (args.id or args.env or DOCK, args.policies, args.episodes, args.seed, args.env_kwargs, args.out)
     result: BenchResult | Robustness
     if args.robustness:
-        from agents.robustness import robustness
-
         result = robustness(*shared, quick=args.quick, fresh=args.fresh, command=command)
     else:
         result = bench(*shared, quick=args.quick, fresh=args.fresh, command=command)

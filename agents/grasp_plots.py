@@ -44,12 +44,14 @@ def rates(rows: Sequence[Row], columns: Sequence[Column], dark: bool) -> bytes:
     return png_bytes(figure)
 
 
-def outcome_bars(shares: Mapping[str, Mapping[str, float]], dark: bool) -> bytes:
-    """What became of each policy's grasps: policy → outcome of `OUTCOME_COLORS` → share, stacked to 1."""
+def outcome_bars(
+    shares: Mapping[str, Mapping[str, float]], dark: bool, colors: Mapping[str, str] = OUTCOME_COLORS
+) -> bytes:
+    """What became of each policy's grasps: policy → outcome of `colors` → share, stacked to 1."""
     figure, axis = new_figure(dark, 0.36 * len(shares) + 1.0)
     for line, of in enumerate(shares.values()):
         left = 0.0
-        for outcome, color in OUTCOME_COLORS.items():
+        for outcome, color in colors.items():
             share = of.get(outcome, 0.0)
             axis.barh(line, 100.0 * share, left=100.0 * left, height=0.72, color=color, lw=0)
             if share >= _LEAST_LABEL:
@@ -61,7 +63,7 @@ def outcome_bars(shares: Mapping[str, Mapping[str, float]], dark: bool) -> bytes
     axis.set_xlim(0.0, 100.0)
     axis.set_xlabel("share of the episodes [%]")
     grid_lines(axis, "x", dark)
-    handles = [axis.barh(0, 0, color=color, label=outcome) for outcome, color in OUTCOME_COLORS.items()]
+    handles = [axis.barh(0, 0, color=color, label=outcome) for outcome, color in colors.items()]
     figure.legend(
         handles=handles, ncols=len(handles), loc="upper right", frameon=False, labelcolor=ink(dark),
         handlelength=1.0, columnspacing=1.2, fontsize=8.5,

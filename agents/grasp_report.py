@@ -6,7 +6,6 @@ force closure says how often a grasp holds.
 
 from __future__ import annotations
 
-import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from agents import page
 from agents.bench_setup import Measured, Study
 from agents.grasp_calibration import NEAR, VIEWS, Reliability, curves, judge_candidates
 from agents.scoring import GRASPING
-from agents.table import Row
+from agents.table import Row, without_trainings
 
 TIMED_VIEWS, WARM_UP = 30, 3
 PLANNER = "gpis"
@@ -52,11 +51,12 @@ def study(measured: Measured) -> Study:
     finally:
         env.close()
     shares = {row.label: outcome_shares(row) for row in measured.rows}
-    held = object_rates(shown(measured.rows), episodes)
+    rows = without_trainings(measured.rows)
+    held = object_rates(rows, episodes)
     sections = [
         *rates_section(measured.rows),
         *outcomes_section(shares),
-        *objects_section(shown(measured.rows), episodes),
+        *objects_section(rows, episodes),
         *times_section(times),
         *calibration_section(reliabilities, min(VIEWS, measured.episodes)),
     ]
@@ -91,12 +91,6 @@ def episode_objects(env: Any, seeds: Sequence[int]) -> Episodes:
         objects.append(str(env.object.name))
         tags[objects[-1]] = frozenset(env.object.tags)
     return Episodes(objects, tags)
-
-
-def shown(rows: Sequence[Row]) -> list[Row]:
-    """The rows without the single trainings that a pooled row stands for."""
-    kinds = [row.policy.partition(" (")[0] for row in rows if " (" in row.policy]
-    return [row for row in rows if not any(re.fullmatch(rf"{re.escape(kind)}-seed\d+", row.policy) for kind in kinds)]
 
 
 def groups(episodes: Episodes) -> dict[str, list[str]]:
@@ -193,10 +187,10 @@ def objects_section(rows: Sequence[Row], episodes: Episodes) -> list[str]:
     lines = []
     for item, tags in episodes.tags.items():
         said = page.text(", ".join(sorted(tags)) or "plain")
-        lines.append(_heat_row(f"{page.text(item)}<small>{said}</small>", rates[item], rows, str(counts[item])))
+        lines.append(heat_row(f"{page.text(item)}<small>{said}</small>", rates[item], rows, str(counts[item])))
     for group, of in groups(episodes).items():
         name = f"{page.text(group)}<small>{len(of)} objects</small>"
-        lines.append(_heat_row(name, rates[group], rows, str(sum(counts[item] for item in of)), "group"))
+        lines.append(heat_row(name, rates[group], rows, str(sum(counts[item] for item in of)), "group"))
     most = max(counts.values())
     half = 100.0 * 0.98 / np.sqrt(most)  # Wald's interval at one half, the widest
     notes = [
@@ -207,9 +201,11 @@ def objects_section(rows: Sequence[Row], episodes: Episodes) -> list[str]:
     return ["<h2>Object by object</h2>", page.table(head, lines), page.notes(notes)]
 
 
-def _heat_row(name: str, rates: Mapping[str, float], rows: Sequence[Row], views: str, kind: str = "") -> str:
-    cells = [f"{100.0 * rates[row.policy]:.0f}" for row in rows]
-    return page.table_row([name, *cells, views], kind, shades={i: rates[row.policy] for i, row in enumerate(rows, 1)})
+def heat_row(name: str, rates: Mapping[str, float], rows: Sequence[Row], views: str, kind: str = "") -> str:
+    """A line of shares in %, a column a row, shaded; a share that is not a number is a dash."""
+    known = {i: rates[row.policy] for i, row in enumerate(rows, 1) if np.isfinite(rates[row.policy])}
+    cells = [f"{100.0 * known[i]:.0f}" if i in known else "—" for i in range(1, len(rows) + 1)]
+    return page.table_row([name, *cells, views], kind, shades=known)
 
 
 def times_section(times: Mapping[str, PlanningTime]) -> list[str]:

@@ -37,6 +37,8 @@ tr.missing td { color: var(--soft); font-weight: 400; }
 figure { margin: .8rem 0 0; } figure img { width: 100%; height: auto; display: block; }
 figcaption { color: var(--soft); font-size: .84rem; margin-top: .3rem; }
 .film img { width: auto; max-width: 100%; border-radius: 6px; }
+.films { display: flex; flex-wrap: wrap; gap: .4rem 1.6rem; } .films figure { flex: 1 1 22rem; max-width: 30rem; }
+.films img { width: 100%; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: .35rem 1.4rem; background: var(--card);
   border: 1px solid var(--line); border-radius: 8px; padding: 1rem 1.2rem; font-size: .86rem; margin: .8rem 0; }
 dt { color: var(--soft); } dd { margin: 0; overflow-wrap: anywhere; }

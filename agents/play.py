@@ -95,6 +95,15 @@ def play(
     return endings
 
 
+def draws_pictures(env_id: str, env_kwargs: Mapping[str, Any]) -> bool:
+    """Whether the environment renders `rgb_array`."""
+    env = gymnasium.make(env_id, disable_env_checker=True, **env_kwargs)
+    try:
+        return "rgb_array" in env.metadata.get("render_modes", ())
+    finally:
+        env.close()
+
+
 def _picture_options(kwargs: Mapping[str, Any]) -> set[str]:
     return {"width", "height", "camera", "render_backend", "render_samples"} & set(kwargs)
 
@@ -172,7 +181,8 @@ class _Shots:
         """The episode's last picture, or what happened in its step where the environment can show that."""
         show = getattr(self.env.unwrapped, "film", None)
         if step == 0 or not callable(show):
-            yield self._frame(step, observation)
+            ended = "success" if info.get("success") else str(info.get("cause", "")).replace("_", " ")
+            yield self._frame(step, observation, ended if "cause" in info else "")
             return
         note = ": ".join(filter(None, (str(info.get("object", "")), outcome)))
         for number, frame in enumerate(itertools.islice(show(self.fps), self.frames)):
@@ -184,30 +194,35 @@ class _Shots:
         frame: Any = self.env.render()
         return frame
 
-    def _frame(self, step: int, observation: Mapping[str, Any]) -> NDArray[np.uint8]:
+    def _frame(self, step: int, observation: Mapping[str, Any], note: str = "") -> NDArray[np.uint8]:
         frame = self.draw()
         if not self.overlay:
             return frame
-        note = ""
         if "coupled" in observation:
             note = "coupled" if observation["coupled"][0] > 0.5 else "flying in"
         return annotate(frame, Readings(step * self.dt, self.name, self._error(observation), self._wind(), note))
 
     def _error(self, observation: Mapping[str, Any]) -> float | None:
         """True distance from the set-point where the simulator tells it, else the observed one [m]."""
-        state = getattr(self.env.unwrapped, "state", None)
-        if state is not None and int(state["step"]) > 0:
-            return float(np.linalg.norm(state["true_error"]))
+        env: Any = self.env.unwrapped
+        for record, name in ((getattr(env, "state", None), "true_error"), (getattr(env, "record", None), "distance")):
+            if record is not None and name in (record.dtype.names or ()) and int(env.state["step"]) > 0:
+                return float(np.linalg.norm(record[name]))
         error = observation.get("position_error")
         return None if error is None else float(np.linalg.norm(error))
 
     def _wind(self) -> tuple[float, float] | None:
-        from aerograsp_env.sim.scene_look import CAMERAS, camera_heading
+        from aerograsp_env.sim.manipulation.config import ManipulationConfig
+        from aerograsp_env.sim.manipulation.look import camera_heading as by_arms
+        from aerograsp_env.sim.scene_look import camera_heading as by_pipe
 
-        state = getattr(self.env.unwrapped, "state", None)
-        if state is None or self.camera not in CAMERAS:
+        env: Any = self.env.unwrapped
+        state, config = getattr(env, "state", None), getattr(env, "config", None)
+        docking = not isinstance(config, ManipulationConfig) or config.vehicle.tool
+        heading = (by_pipe if docking else by_arms)(self.camera)
+        if state is None or heading is None:
             return None
-        heading, (x, y, _) = camera_heading(self.camera), state["wind"]
+        x, y, _ = state["wind"]
         c, s = np.cos(heading), np.sin(heading)
         return float(s * x - c * y), float(c * x + s * y)
 

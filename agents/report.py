@@ -55,6 +55,7 @@ def html_report(
     rows: Sequence[Row],
     provenance: Mapping[str, Any],
     settings: Mapping[str, Any] | None = None,
+    condition: str = "",
     published: Sequence[Published] = (),
     traces: Sequence["Trace"] = (),
     film: bytes | None = None,
@@ -68,6 +69,7 @@ def html_report(
         rows: measured rows, in the order of the table; rows without values are reported with their note.
         provenance: what `agents.provenance.provenance` gives.
         settings: name → value of what was measured (id, episodes, seeds, options), for the reader.
+        condition: which of several the rows were measured under.
         published: figures to stand beside them.
         traces: one pinned episode of some rows.
         film: a GIF to embed.
@@ -83,16 +85,17 @@ def html_report(
         raise ValueError("film: expected the bytes of a GIF")
     ran = [row for row in rows if row.values]
     best = best_row(ran)
-    parts = [_lead(ran, best)]
+    parts = [_lead(ran, best, condition)]
     if film is not None:
         parts.append(page.film_figure(film, film_caption))
-    parts += ["<h2>Comparison</h2>", _table(rows, published, best), _notes(rows, published)]
+    heading = f"Comparison: {page.text(condition)}" if condition else "Comparison"
+    parts += [f"<h2>{heading}</h2>", _table(rows, published, best), _notes(rows, published)]
     parts += [*_figures(ran, published, traces), *paired(ran), *sections, "<h2>How it was measured</h2>"]
     parts.append(page.facts({**(settings or {}), **provenance}))
     return page.page(title, parts)
 
 
-def _lead(rows: Sequence[Row], best: Row | None) -> str:
+def _lead(rows: Sequence[Row], best: Row | None, condition: str) -> str:
     kind = scoring(rows)
     if best is None or kind.primary is None or (estimate := best.estimate(kind.primary)) is None:
         return f'<p class="lead">{len(rows)} policies.</p>'
@@ -104,6 +107,7 @@ def _lead(rows: Sequence[Row], best: Row | None) -> str:
         low=low,
         high=high,
         episodes=estimate.episodes,
+        where=f" ({page.text(condition)})" if condition else "",
     )
     return f'<p class="lead">{said}</p>'
 
@@ -218,11 +222,16 @@ def paired(rows: Sequence[Row]) -> list[str]:
 
 
 def _pairing_row(label: str, pair: Pairing, tested: bool) -> str:
+    return page.table_row([page.text(label), *pairing_cells(pair, tested)])
+
+
+def pairing_cells(pair: Pairing, tested: bool) -> list[str]:
+    """Difference, interval, the test's figures if `tested`, verdict and episodes, as HTML."""
     show = f"{{:+.{pair.column.digits}f}}".format
     low, high = (show(pair.column.scale * bound) for bound in pair.interval)
-    cells = [page.text(label), show(pair.column.scale * pair.difference), f"[{low}, {high}]"]
+    cells = [show(pair.column.scale * pair.difference), f"[{low}, {high}]"]
     if tested:
         test = pair.test
         p = "" if test is None else "< 0.0001" if test.p < 1e-4 else f"{test.p:.4f}"
         cells += ["—"] * 3 if test is None else [str(test.only_a), str(test.only_b), page.text(p)]
-    return page.table_row([*cells, pair.verdict, str(pair.episodes)])
+    return [*cells, pair.verdict, str(pair.episodes)]

@@ -19,7 +19,7 @@ from agents.provenance import provenance
 from agents.rows import RowStore, load_all
 from agents.scoring import HOLDING, Column, Scoring
 from agents.seeds import TEST_SEED
-from agents.table import Row, aligned, caveats, cell, scoring, table_data, with_pooled
+from agents.table import Row, aligned, caveats, cell, scoring, table_data, with_pooled, without_trainings
 
 TRAINED = "trained"
 CHANGES: dict[str, dict[str, dict[str, Any]]] = {  # condition → what differs from the benchmark's
@@ -114,7 +114,7 @@ def robustness(
         spaces(env_id, options)  # refuses unknown ones
     loaded = load_all(env_id, list(dict.fromkeys(policies or default_rows(env_id, quick))), base)
     store = RowStore(folder, env_id, episodes, seed, facts, fresh, progress)
-    rows = {condition: _rows(store, condition, options, loaded) for condition, options in conditions.items()}
+    rows = {condition: measured_rows(store, condition, options, loaded) for condition, options in conditions.items()}
     settings = {
         "environment": env_id,
         "options": base,
@@ -124,21 +124,23 @@ def robustness(
     }
     data = {condition: table_data(of)["rows"] for condition, of in rows.items()}
     write_json(folder / "robustness.json", {"provenance": facts, "settings": settings, "conditions": data})
-    shown, notes = _columns(rows), _notes(rows, CHANGES[env_id])
-
-    def text(markdown: bool) -> str:
-        tables = [cells(rows, column) for column in shown]
-        return "\n\n".join(aligned(lines, notes if lines is tables[-1] else [], markdown).strip() for lines in tables)
-
-    write_atomic(folder / "robustness.md", text(markdown=True) + "\n")
+    write_atomic(folder / "robustness.md", tables_text(rows, CHANGES[env_id], markdown=True) + "\n")
     settings["conditions"] = ", ".join(conditions)
     title = f"{env_id}: policies under other conditions"
     parts = [*section(rows, CHANGES[env_id]), "<h2>How it was measured</h2>", page.facts({**settings, **facts})]
     write_atomic(folder / "robustness.html", page.page(title, parts))
-    return Robustness(rows, folder, text(markdown=False))
+    return Robustness(rows, folder, tables_text(rows, CHANGES[env_id]))
 
 
-def _rows(store: RowStore, condition: str, options: Mapping[str, Any], loaded: Mapping[str, Any]) -> list[Row]:
+def measured_rows(store: RowStore, condition: str, options: Mapping[str, Any], loaded: Mapping[str, Any]) -> list[Row]:
+    """A row a policy under a condition's options; training seeds of one kind become one row.
+
+    Args:
+        store: measures them, or has them already.
+        condition: its name, for who watches.
+        options: of the environment.
+        loaded: policies by name, of `agents.rows.load_all`.
+    """
     rows = []
     for name, policy in loaded.items():
         if isinstance(policy, PolicyUnavailable):
@@ -146,9 +148,15 @@ def _rows(store: RowStore, condition: str, options: Mapping[str, Any], loaded: M
         else:
             result = store.row(name, policy, options, f"{condition}, {name}")
             rows.append(Row.of(result, oracle=callable(getattr(policy, "watch", None))))
-    pooled = with_pooled(rows)
-    kinds = [row.policy.partition(" (")[0] for row in pooled if row not in rows]
-    return [row for row in pooled if not any(re.fullmatch(rf"{kind}-seed\d+", row.policy) for kind in kinds)]
+    return without_trainings(with_pooled(rows))
+
+
+def tables_text(
+    rows: Mapping[str, Sequence[Row]], changes: Mapping[str, Mapping[str, Any]], markdown: bool = False
+) -> str:
+    """The tables of policies by conditions, for a terminal or in Markdown; notes follow the last."""
+    tables, notes = [cells(rows, column) for column in _columns(rows)], _notes(rows, changes)
+    return "\n\n".join(aligned(lines, notes if lines is tables[-1] else [], markdown).strip() for lines in tables)
 
 
 def _kind(rows: Mapping[str, Sequence[Row]]) -> Scoring:

@@ -70,6 +70,9 @@ class Scoring:
     by_condition: str = ""  # what a table of policies by conditions shows
     shaded: str = ""  # what is best in it
     undefined: str = "(n): over the n episodes that lasted long enough to define it."
+    marks: tuple[str, ...] = ()  # values that its rows have besides the primary one
+    causes: tuple[str, ...] = ()  # 0/1 values, one of them in each episode that fails
+    goodness: tuple[tuple[str, float], ...] = (("success", 1.0), ("crash", -1.0))  # values that rank episodes, signed
 
     def best(self, rows: Iterable["Row"], column: Column | None = None) -> "Row | None":
         """The best of rows by the mean of a column's value, the primary one's by default; None if there is none.
@@ -150,14 +153,64 @@ GRASPING = Scoring(
     "grasps, with bootstrap intervals. Rows over several trainings: bootstrap intervals.",
 )
 OTHER = Scoring(columns=tuple(column for column in HOLDING.columns if column.name in ("success", "crash", "effort")))
-_KINDS = (HOLDING, GRASPING)
+
+REACHING = Scoring(
+    columns=(
+        Column("error", "error [mm]", 1e3, 1, True),
+        Column("error_max", "largest [mm]", 1e3, 1, True),
+        Column("hover", "hover moved [mm]", 1e3, 1, True),
+        Column("crash", "crash [%]", 1e2, 1),
+        Column("contacts", "contacts [steps]", digits=1),
+        Column("effort", "effort"),
+    ),
+    primary=Column("error", "error [mm]", 1e3, 1, True),
+    unit="mm",
+    tolerated={"crash": 0.01},
+    paired=(Column("error", "error [mm]", 1e3, 1, True),),
+    paired_with_analytic=True,
+    by_condition="Mean distance of the tool from its target, as the environment counts it [mm], "
+    "95 % bootstrap intervals in brackets; crash rates where any.",
+    shaded="Shaded: the lowest error with at most 1 % of crashes.",
+    lead="The lowest error without crashes is {policy}’s{where}: {value} from tool to target on average, 95 % interval "
+    "{low} to {high} mm over {episodes} pinned episodes.",
+    marks=("error_max", "hover"),
+    goodness=(("crash", -1.0), ("error", -1.0)),
+)
+
+_LIFTED = Column("success", "success [%]", 1e2, 1, True, rate_of)
+CAUSES = ("missed", "slipped", "collided", "jammed", "timed_out")  # of failures, one each
+LIFTING = Scoring(
+    columns=(
+        _LIFTED,
+        Column("crash", "crash [%]", 1e2, 1, True, rate_of),
+        *(Column(cause, f"{cause.replace('_', ' ')} [%]", 1e2, 1) for cause in CAUSES),
+        Column("slip", "slip [mm]", 1e3, 1, True, median_of, "success"),
+        Column("effort", "effort"),
+    ),
+    primary=_LIFTED,
+    unit="%",
+    lower_is_better=False,
+    paired=(_LIFTED,),
+    paired_with_analytic=True,
+    by_condition="Shares of the episodes in which the object was lifted and held, 95 % Wilson intervals in brackets "
+    "(of rows over several trainings bootstrap intervals); crash rates where any.",
+    shaded="Shaded: the largest share, oracles aside.",
+    lead="{policy} lifts the most objects{where}: {value}, 95 % interval {low} to {high} % over {episodes} pinned "
+    "episodes.",
+    intervals="Shares of the episodes, with 95 % Wilson intervals in brackets; slip: median over the successes, with a "
+    "bootstrap interval. Rows over several trainings: bootstrap intervals.",
+    marks=("lift", *CAUSES),
+    causes=CAUSES,
+    goodness=(("success", 1.0), ("crash", -1.0), ("lift_time", -1.0), ("lift", 1.0)),
+)
+_KINDS = (LIFTING, REACHING, HOLDING, GRASPING)
 _RETURN = Column("returns", "return", 1.0, 2, True)
 
 
 def scoring_of(names: Iterable[str]) -> Scoring:
     """The kind of task whose rows have values of these names."""
     present = set(names)
-    fit = [kind for kind in _KINDS if kind.primary is not None and kind.primary.name in present]
+    fit = [kind for kind in _KINDS if kind.primary is not None and {kind.primary.name, *kind.marks} <= present]
     return fit[0] if fit else OTHER
 
 

@@ -123,6 +123,12 @@ def with_pooled(rows: Sequence[Row]) -> list[Row]:
     return pooled
 
 
+def without_trainings(rows: Sequence[Row]) -> list[Row]:
+    """The rows without the single trainings that a pooled row stands for."""
+    kinds = [row.policy.partition(" (")[0] for row in rows if " (" in row.policy]
+    return [row for row in rows if not any(re.fullmatch(rf"{re.escape(kind)}-seed\d+", row.policy) for kind in kinds)]
+
+
 def caveats(rows: Sequence[Row]) -> list[str]:
     """What a reader must know about values over a part of the episodes or of their time."""
     notes = []
