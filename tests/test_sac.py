@@ -321,3 +321,21 @@ def test_a_configuration_survives_its_card():
     config = SacConfig(keys=("a",), hidden=(3,), target_entropy=-2.0, env_kwargs={"delay": (0.06, 0.1)})
     assert SacConfig.from_card(json.loads(json.dumps(config.to_card()))) == config
     assert config.algorithm == "sac" and SacConfig(residual="dls").algorithm == "sac-residual"
+
+
+# --- the arm of the suite -------------------------------------------------------
+
+
+def test_reach_is_trained_with_hindsight(tmp_path):
+    env_id = "aerograsp/Reach-v0"
+    options = {"max_episode_steps": 20, "wind": "calm", "localization": "truth"}
+    config = SacConfig(
+        **FIELDS | {"num_envs": 2, "learning_starts": 40, "eval_episodes": 1}, steps=80, env_kwargs=options
+    )
+    export = tmp_path / "reach.safetensors"
+    result = train(env_id, config, out=tmp_path / "run", export=export)
+    card = load_checkpoint(export).card
+    assert card["algorithm"] == "sac-her" and card["network"]["keys"] == [*READ]
+    assert load_checkpoint(tmp_path / "run" / LATEST).tensors["counters"][1] > 0
+    score = evaluate(env_id, str(export), 1, 2_000_000, options).returns[0]
+    assert score == pytest.approx(result.best["return"], rel=1e-3)  # single and batched worlds, torch's export
