@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, ClassVar
 
+from aerograsp_env.envs.dock_manipulate import dock_manipulate_task
 from aerograsp_env.envs.manipulation_options import built
 from aerograsp_env.envs.reach import GoalReward, reach_task
 from aerograsp_env.sim.manipulation.reset import check_options
@@ -44,4 +45,16 @@ class ReachVectorEnv(GoalReward, ManipulationVectorEnv):
     build = staticmethod(reach_task)
 
     def __init__(self, num_envs: int = 1, max_episode_steps: int = 500, **options: Any) -> None:
+        super().__init__(num_envs, max_episode_steps, **options)
+
+
+class DockManipulateVectorEnv(ManipulationVectorEnv):
+    """`aerograsp/DockManipulate-v0`, N at a time: options, spaces and results as there.
+
+    Args: see `aerograsp_env.vector_base.BatchedEnv`.
+    """
+
+    build = staticmethod(dock_manipulate_task)
+
+    def __init__(self, num_envs: int = 1, max_episode_steps: int = 1500, **options: Any) -> None:
         super().__init__(num_envs, max_episode_steps, **options)

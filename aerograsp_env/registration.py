@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 EPISODE_STEPS: dict[str, int | None] = {  # at 50 Hz
     "aerograsp/Dock-v0": 3000,
     "aerograsp/DockAttach-v0": 3000,
+    "aerograsp/DockManipulate-v0": 1500,
     "aerograsp/Grasp-v0": 1000,
+    "aerograsp/GraspDual-v0": 1000,
     "aerograsp/GraspPlan-v0": None,  # ends by itself at the first step
     "aerograsp/Reach-v0": 500,
 }
@@ -23,6 +25,14 @@ ENTRY_POINTS: dict[str, tuple[str, str | None]] = {  # of one world, and of a na
     "aerograsp/Dock-v0": ("aerograsp_env.envs.dock:DockEnv", "aerograsp_env.vector:DockVectorEnv"),
     "aerograsp/DockAttach-v0": ("aerograsp_env.envs.dock:DockAttachEnv", "aerograsp_env.vector:DockAttachVectorEnv"),
     "aerograsp/Grasp-v0": ("aerograsp_env.envs.grasp:GraspEnv", "aerograsp_env.grasp_vector:GraspVectorEnv"),
+    "aerograsp/DockManipulate-v0": (
+        "aerograsp_env.envs.dock_manipulate:DockManipulateEnv",
+        "aerograsp_env.manipulation_vector:DockManipulateVectorEnv",
+    ),
+    "aerograsp/GraspDual-v0": (
+        "aerograsp_env.envs.grasp_dual:GraspDualEnv",
+        "aerograsp_env.grasp_vector:GraspDualVectorEnv",
+    ),
     "aerograsp/GraspPlan-v0": ("aerograsp_env.envs.grasp_plan:GraspPlanEnv", None),
     "aerograsp/Reach-v0": ("aerograsp_env.envs.reach:ReachEnv", "aerograsp_env.manipulation_vector:ReachVectorEnv"),
 }
@@ -31,6 +41,8 @@ REFERENCE_POLICIES: dict[str, str] = {
     "aerograsp/Dock-v0": "baselines.policies.dock:pid",
     "aerograsp/DockAttach-v0": "baselines.policies.dock_attach:pid",
     "aerograsp/Grasp-v0": "baselines.policies.grasp:grasp_dls",
+    "aerograsp/DockManipulate-v0": "baselines.policies.dock_manipulate:dls",
+    "aerograsp/GraspDual-v0": "baselines.policies.grasp_dual:dual_dls",
     "aerograsp/GraspPlan-v0": "baselines.policies.grasp_plan:gpis",
     "aerograsp/Reach-v0": "baselines.policies.reach:dls",
 }

@@ -10,6 +10,10 @@ POLICIES: dict[str, dict[str, str]] = {
         "pid": "baselines.policies.dock_attach:pid",
         "pid-tuned": "baselines.policies.dock_attach:pid_tuned",
     },
+    "aerograsp/DockManipulate-v0": {
+        "dock-dls": "baselines.policies.dock_manipulate:dls",
+        "dock-dls-pid": "baselines.policies.dock_manipulate:pid_dls",
+    },
     "aerograsp/GraspPlan-v0": {
         "gpis": "baselines.policies.grasp_plan:gpis",
         "gpis-constant": "baselines.policies.grasp_plan:gpis_constant",
