@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.envs.grasp import grasp_task
+from aerograsp_env.envs.grasp_dual import grasp_dual_task
 from aerograsp_env.envs.grasp_task import GraspTask
 from aerograsp_env.manipulation_vector import ManipulationVectorEnv
 
@@ -18,7 +20,7 @@ class GraspVectorEnv(ManipulationVectorEnv):
     Args: see `aerograsp_env.vector_base.BatchedEnv`.
     """
 
-    build = staticmethod(grasp_task)
+    build: ClassVar[Callable[..., GraspTask]] = staticmethod(grasp_task)
     task: GraspTask
 
     def __init__(self, num_envs: int = 1, max_episode_steps: int = 1000, **options: Any) -> None:
@@ -32,3 +34,9 @@ class GraspVectorEnv(ManipulationVectorEnv):
             infos[name] = np.array([entry.get(name, "") for entry in told])
             infos[f"_{name}"] = mask
         return infos
+
+
+class GraspDualVectorEnv(GraspVectorEnv):
+    """`aerograsp/GraspDual-v0`, N at a time."""
+
+    build = staticmethod(grasp_dual_task)

@@ -1,13 +1,13 @@
-"""How hard an episode of `aerograsp/Grasp-v0` is: air, estimate, what the object stands on, its mass and surface.
+"""How hard an episode of `aerograsp/Grasp-v0` or `aerograsp/GraspDual-v0` is.
 
-The values are fixed: policies are compared on them.
+Levels differ in the air, the pose estimate, what the object stands on, its mass and its surface. The values are fixed: policies are compared on them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -78,16 +78,28 @@ LEVELS: Mapping[str, GraspLevel] = MappingProxyType(
 )
 
 
-def grasp_level(value: Any) -> GraspLevel:
-    """A level by its name, as a `GraspLevel`, or as a mapping of changes to the easy one."""
+_CRAWLER = GraspLevel(mass=(1.0, 1.4), spread=(0.03, 0.03, 0.02))
+DUAL_LEVELS: Mapping[str, GraspLevel] = MappingProxyType(
+    {
+        "easy": _CRAWLER,
+        "gusty": replace(_CRAWLER, wind="gusty"),
+        "biased": replace(_CRAWLER, position_bias=(0.005, 0.015), rotation_bias=_degrees(0.0, 3.0), delay=0.10),
+        "oblique": replace(_CRAWLER, slope=_degrees(5.0, 15.0), heading=_degrees(-180.0, 180.0)),
+        "heavy": replace(_CRAWLER, mass=(1.4, 1.8), friction=(0.25, 0.45)),
+    }
+)
+
+
+def grasp_level(value: Any, levels: Mapping[str, GraspLevel] = LEVELS) -> GraspLevel:
+    """A level by its name, as a `GraspLevel`, or as a mapping of changes to the easy one of `levels`."""
     if isinstance(value, GraspLevel):
         return value
     if isinstance(value, Mapping):
         known = [field.name for field in fields(GraspLevel)]
         for name in value:
             choose("level", name, known)
-        return GraspLevel(**value)
-    return LEVELS[choose("level", value, LEVELS)]
+        return replace(levels["easy"], **value)
+    return levels[choose("level", value, levels)]
 
 
 def slopes(level: GraspLevel) -> list[float]:

@@ -7,6 +7,7 @@ none is exchanged because a policy fails on it. What is computed for a member is
 from __future__ import annotations
 
 import functools
+import math
 from collections import OrderedDict
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ from aerograsp_env.sim.manipulation.scene import build_model
 from aerograsp_env.sim.manipulation.standing import standing
 from aerograsp_env.sim.manipulation.supports import Support, inclined_table, pipe_saddle, table
 from aerograsp_env.sim.objects import GraspObject
+from aerograsp_env.sim.objects.crawler import pipe_crawler
+from aerograsp_env.sim.objects.resting import resting_poses
 
 Array = NDArray[np.float64]
 
@@ -108,12 +111,16 @@ class GraspPool:
 
     def _found(self, item: GraspObject, support: Support, index: int) -> Setting | None:
         try:
-            T = place(item, support, np.random.default_rng([index, *item.name.encode()]))
+            T = self._place(item, support, index)
         except PlacementError:
             return None
         if self._jaws is not None and not can_be_taken(item, T, support, self._jaws):
             return None
         return Setting(item, support, T)
+
+    def _place(self, item: GraspObject, support: Support, index: int) -> Array:
+        """T_world_object of the item's pose with this number on a support."""
+        return place(item, support, np.random.default_rng([index, *item.name.encode()]))
 
     def model(self, config: ManipulationConfig, setting: Setting) -> mujoco.MjModel:
         """The compiled scene with the pool's own object; copy it before you change it."""
@@ -124,3 +131,19 @@ class GraspPool:
         while len(self._models) > MODELS:
             self._models.popitem(last=False)
         return self._models[key]
+
+
+class CrawlerPool(GraspPool):
+    """The pipe crawler on its drive units, two of its handles to the left and right of its support's axis, or nearly so."""
+
+    def __init__(self, level: GraspLevel) -> None:
+        self.crawler = pipe_crawler()
+        super().__init__(self.crawler, level, None, wide=True)
+        poses = resting_poses(self.crawler)
+        self._upright = max(poses, key=lambda pose: pose.T_support_object[2, 2])
+
+    def _place(self, item: GraspObject, support: Support, index: int) -> Array:
+        T = self._upright.T_support_object
+        heading = index * math.pi / 3.0 - math.atan2(T[1, 0], T[0, 0])
+        rng = np.random.default_rng([index, *item.name.encode()])
+        return place(item, support, rng, pose=self._upright, heading=heading, spread=0.01)
