@@ -33,7 +33,6 @@ class _Machine(NamedTuple):
 
     chain: NDArray[np.float64]
     limits: NDArray[np.float64]
-    home: NDArray[np.float64]
     seeds: NDArray[np.float64]  # (SEEDS, n) configurations to look for others from
     servo_time: NDArray[np.float64]  # [s] damping / stiffness: how long a servo trails a command that moves
     rate_limits: NDArray[np.float64]  # [rad/s] of a joint, a full action's or its servo's
@@ -54,7 +53,7 @@ def _machine(joints: int, joint_rate: float) -> _Machine:
             rates = np.array([min(joint.rate_limit, joint_rate) for joint in config.joints])
             low, high = arm.limits.T
             seeds = low + (high - low) * np.random.default_rng(0).uniform(0.1, 0.9, (SEEDS, joints))
-            return _Machine(arm.chain, arm.limits, np.array(config.home), seeds, servo_time, rates, arm.length)
+            return _Machine(arm.chain, arm.limits, seeds, servo_time, rates, arm.length)
     raise ValueError(f"observation: expected that of an arm of {[a.n for a in ARMS.values()]} joints, got {joints}")
 
 

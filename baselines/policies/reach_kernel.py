@@ -20,7 +20,9 @@ JOINTS = 6  # at most
 PAST = 32  # control steps of own motion remembered: the longest delay of an estimate that is made up for
 SEARCH_STEP, SEARCH_STEPS = 0.3, 60  # [rad] of a joint at most, and how many
 FOUND = 0.001  # [m] from the point at most
-NEAR_LIMIT = 0.3  # [rad] from a limit at which a configuration begins to be worse
+NEAR_LIMIT = 0.5  # [rad] from a limit at which a configuration begins to be worse
+AGILE = 0.3  # least singular value below which a configuration begins to be worse, as a share of the arm's length
+WAY_COST = 0.3  # [1/rad] of the way there, beside 1 for a limit or a singularity
 STUCK, STUCK_STEPS = 0.01, 15  # [m] off the point for so many control steps: another configuration is looked for
 FOLLOWING_ERROR = 0.35  # [rad] servos' set-points stay this near to their joints
 
@@ -32,11 +34,11 @@ class Settings(NamedTuple):
     share: float = 0.8  # of the joints' rate limits that the reference uses; the rest is for corrections
     damping: float = 0.05  # λ at a singularity, as a share of the arm's length
     threshold: float = 0.05  # least singular value below which damping begins, as a share of the arm's length
-    posture_gain: float = 0.5  # [1/s] towards the home configuration, with the motion that leaves the tool in place
-    posture_weight: float = 0.003  # of that motion [m/rad]: well below the Jacobian's singular values
+    posture_gain: float = 5.0  # [1/s] of joints away from near limits, with the motion that leaves the tool in place
+    posture_weight: float = 0.01  # of that motion [m/rad]: well below the Jacobian's singular values
     sag_gain: float = 0.05  # of a control step's estimate of how far servos give way under load
     rotation_time: float = 0.1  # [s] low-pass of the angular velocity that is fed forward
-    acceleration: float = 0.15  # [m/s²] the point's, unknown, standard deviation
+    acceleration: float = 0.4  # [m/s²] the point's, unknown, standard deviation
     noise: float = 0.002  # [m] of an estimate that is processed images
     exact_noise: float = 0.0001  # [m] of one without delay
 
@@ -141,10 +143,10 @@ def _seen_from_body(s, rotation, velocity, gyro, point, drift):
 
 
 @compiled
-def _damped_step(chain, length, settings, q, home, pull, twist, limits, step_limits, q_next):
+def _damped_step(chain, length, settings, q, away, twist, limits, step_limits, q_next):
     """One damped least-squares step of q (n,) by the displacement `twist` (6,), of which the first three count.
 
-    What the displacement leaves free moves the share `pull` of the way to `home`.
+    What the displacement leaves free moves joints the share `away` of the way out of their limits' neighbourhood.
     """
     n = q.shape[0]
     tool, jacobian, weights = np.empty((3, 4)), np.empty((6, n)), np.ones(6)
@@ -155,7 +157,8 @@ def _damped_step(chain, length, settings, q, home, pull, twist, limits, step_lim
     sigma = least_singular_value(jacobian, weights, 3)
     squared = settings.posture_weight**2
     for i in range(n):
-        gradient[i] += squared * pull * (home[i] - q[i])
+        low, high = NEAR_LIMIT - (q[i] - limits[i, 0]), NEAR_LIMIT - (limits[i, 1] - q[i])
+        gradient[i] += squared * away * (clip(low, 0.0, NEAR_LIMIT) - clip(high, 0.0, NEAR_LIMIT))
     if sigma < threshold:
         squared += (1.0 - (sigma / threshold) ** 2) * damping * damping
     bounded_step(gram, gradient, squared, q, limits, step_limits, q_next)
@@ -163,7 +166,7 @@ def _damped_step(chain, length, settings, q, home, pull, twist, limits, step_lim
 
 
 @compiled
-def find_goal(chain, length, settings, home, limits, seeds, point, offset, q_now, q_goal):
+def find_goal(chain, length, settings, limits, seeds, point, offset, q_now, q_goal):
     """The best configuration with the tool at `point` (3,), of those that damped steps from `seeds` (K, n) end in.
 
     Best is what is near to q_now (n,), measured by the joint that has the longest way, and far from limits and
@@ -185,22 +188,23 @@ def find_goal(chain, length, settings, home, limits, seeds, point, offset, q_now
             distance = math.sqrt(distance)
             if iteration >= SEARCH_STEPS // 2 and distance < FOUND:
                 break
-            sigma = _damped_step(chain, length, settings, q, home, 0.1, twist, limits, steps, q_next)
+            sigma = _damped_step(chain, length, settings, q, 0.5, twist, limits, steps, q_next)
             q[:] = q_next
         if distance >= FOUND:
             continue
-        way, close = 0.0, max(1.0 - 0.5 * sigma / (settings.threshold * length), 0.0)
+        way, near = 0.0, 0.0
         for i in range(n):
             way = max(way, abs(q[i] - q_now[i]))
-            close = max(close, 1.0 - min(q[i] - limits[i, 0], limits[i, 1] - q[i]) / NEAR_LIMIT)
-        if way + close < least:
-            least = way + close
+            near = max(near, 1.0 - min(q[i] - limits[i, 0], limits[i, 1] - q[i]) / NEAR_LIMIT)
+        cost = WAY_COST * way + near + max(1.0 - sigma / (AGILE * length), 0.0)
+        if cost < least:
+            least = cost
             q_goal[:] = q
     return least < np.inf
 
 
 @compiled
-def _advance_goal(chain, limits, home, length, settings, s, step, offset, point, drift, q_next):
+def _advance_goal(chain, limits, length, settings, s, step, offset, point, drift, q_next):
     """One damped step of the goal configuration (n,) to the `point`, which moves by `drift`; returns its distance."""
     n = q_next.shape[0]
     q, tool, twist = s.goal[:n], np.empty((3, 4)), np.zeros(6)
@@ -210,8 +214,8 @@ def _advance_goal(chain, limits, home, length, settings, s, step, offset, point,
         error = point[i] - offset[i] - tool[i, 3]
         twist[i] = step * (settings.gain * error + drift[i])
         distance += error * error
-    pull = settings.posture_gain * step
-    _damped_step(chain, length, settings, q, home, pull, twist, limits, np.full(n, SEARCH_STEP), q_next)
+    away = settings.posture_gain * step
+    _damped_step(chain, length, settings, q, away, twist, limits, np.full(n, SEARCH_STEP), q_next)
     return math.sqrt(distance)
 
 
@@ -228,7 +232,7 @@ def _advance_reference(settings, s, step, rate_limits, q_goal, q_next):
 
 @compiled
 def servo_rows(
-    chain, limits, home, seeds, servo_time, rate_limits, length, joint_rate, settings, feedforward, step, rows, tools,
+    chain, limits, seeds, servo_time, rate_limits, length, joint_rate, settings, feedforward, step, rows, tools,
     goals, states, actions,
 ):  # fmt: skip
     """One control step of every row: writes `states` (N,) and `actions` (N, n)."""
@@ -265,9 +269,9 @@ def servo_rows(
             offset[i] = tools[row, i] - tool[i, 3]
         if fresh or s.stuck >= STUCK_STEPS:
             s.stuck = 0
-            if find_goal(chain, length, settings, home, limits, seeds, point, offset, s.reference[:n], q_goal):
+            if find_goal(chain, length, settings, limits, seeds, point, offset, s.reference[:n], q_goal):
                 s.goal[:n] = q_goal
-        off = _advance_goal(chain, limits, home, length, settings, s, step, offset, point, drift, q_goal)
+        off = _advance_goal(chain, limits, length, settings, s, step, offset, point, drift, q_goal)
         s.stuck = s.stuck + 1 if off > STUCK else 0
         _advance_reference(settings, s, step, rate_limits, q_goal, q_next)
         for i in range(n):
