@@ -19,6 +19,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import aerograsp_env
 from aerograsp_env.envs.dock import DockAttachEnv, DockEnv
+from aerograsp_env.envs.dock_manipulate import DockManipulateEnv, dock_manipulate_task
 from aerograsp_env.envs.grasp_options import GraspRandomizeConfig
 from aerograsp_env.envs.grasp_plan import GraspPlanEnv
 from aerograsp_env.envs.options import available_render_modes
@@ -42,8 +43,15 @@ from aerograsp_env.sim.wind import WindConfig
 IDS = tuple(ENTRY_POINTS)
 PLAN = "aerograsp/GraspPlan-v0"
 REACH = "aerograsp/Reach-v0"
+DOCK_MANIPULATE = "aerograsp/DockManipulate-v0"
 DOCKS = (DOCK, ATTACH)
-CLASSES = {DOCK: DockEnv, ATTACH: DockAttachEnv, PLAN: GraspPlanEnv, REACH: ReachEnv}
+CLASSES = {
+    DOCK: DockEnv,
+    ATTACH: DockAttachEnv,
+    PLAN: GraspPlanEnv,
+    REACH: ReachEnv,
+    DOCK_MANIPULATE: DockManipulateEnv,
+}
 SMALL: dict[str, Any] = {"width": 48, "height": 40}
 
 # Every value of every named option, and one instance of each configuration.
@@ -102,7 +110,32 @@ REACH_OPTIONS: list[dict[str, Any]] = [
     *({"render_mode": mode} for mode in (None, *available_render_modes())),
     *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front", "close", "vehicle")),
 ]
-OPTIONS = {DOCK: DOCK_OPTIONS, ATTACH: DOCK_OPTIONS, PLAN: PLAN_OPTIONS, REACH: REACH_OPTIONS}
+DOCK_MANIPULATE_OPTIONS: list[dict[str, Any]] = [
+    {},
+    *({"localization": source} for source in ("dock", "gps", "vision", "truth")),
+    *({"localization": source, "docked": False} for source in ("gps", "vision", "truth")),
+    *({"wind": wind} for wind in ("calm", "light", "gusty", WindConfig(4.0, 0.3, 1.0), {"mean_speed": 1.0})),
+    *({"payload": mass} for mass in (0.0, 0.3)),
+    *({"com_feedforward": value} for value in (True, False)),
+    *({"velocity_limit": limit} for limit in (0.3, (2.0, 2.0, 1.0))),
+    *({"command_frame": frame} for frame in ("world", "heading")),
+    *({"command_delay": delay} for delay in (0.0, 0.1, (0.06, 0.10))),
+    *({"randomize": value} for value in (False, True, {"servo_gains": (1.0, 2.0)})),
+    {"sensors": SensorConfig().scaled(0.5)},
+    {"tool": {"flex_stiffness": 20.0}},
+    {"autopilot": {"mpc_xy_vel_p_acc": 2.5}},
+    {"config": ManipulationConfig(joint_rate=1.0)},
+    *({"reward_mode": mode} for mode in ("dense", "sparse")),
+    *({"render_mode": mode} for mode in (None, *available_render_modes())),
+    *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front", "vehicle")),
+]
+OPTIONS = {
+    DOCK: DOCK_OPTIONS,
+    ATTACH: DOCK_OPTIONS,
+    PLAN: PLAN_OPTIONS,
+    REACH: REACH_OPTIONS,
+    DOCK_MANIPULATE: DOCK_MANIPULATE_OPTIONS,
+}
 
 
 def make(env_id: str = DOCK, **options: Any) -> Any:
@@ -159,6 +192,12 @@ def test_the_options_above_name_every_option_there_is():
     assert known - {"self", "options", "attach"} - looks == {name for options in DOCK_OPTIONS for name in options}
     known = {*inspect.signature(ReachEnv.__init__).parameters, *inspect.signature(reach_task).parameters}
     assert known - {"self", "options"} - looks == {name for options in REACH_OPTIONS for name in options}
+    known = {
+        *inspect.signature(DockManipulateEnv.__init__).parameters,
+        *inspect.signature(dock_manipulate_task).parameters,
+    }
+    named_ones = {name for options in DOCK_MANIPULATE_OPTIONS for name in options}
+    assert known - {"self", "options"} - looks == named_ones
     known = {*inspect.signature(GraspPlanEnv.__init__).parameters}
     assert known - {"self"} - looks == {name for options in PLAN_OPTIONS for name in options}
 
@@ -214,6 +253,7 @@ REACH_VARIANTS: list[dict[str, Any]] = [
     {"randomize": True, "command_delay": (0.02, 0.10), "pose": "estimated", "wind": "gusty"},
     {"vehicle": "aquiles", "action_mode": "ee_twist", "payload": 0.2},
 ]
+DOCK_MANIPULATE_VARIANTS: list[dict[str, Any]] = [*VARIANTS, {"payload": 0.2, "command_frame": "heading"}]
 PLAN_VARIANTS: list[dict[str, Any]] = [{}, {"randomize": True, "objects": "train"}, {"points": 64}]
 every_variant = pytest.mark.parametrize(
     ("env_id", "options"),
@@ -221,6 +261,7 @@ every_variant = pytest.mark.parametrize(
         *((env_id, options) for env_id in DOCKS for options in VARIANTS),
         *((PLAN, options) for options in PLAN_VARIANTS),
         *((REACH, options) for options in REACH_VARIANTS),
+        *((DOCK_MANIPULATE, options) for options in DOCK_MANIPULATE_VARIANTS),
     ],
     ids=lambda value: named(value) if isinstance(value, dict) else value,
 )
@@ -242,6 +283,7 @@ def test_a_seed_determines_everything(env_id, options):
     [
         *((env_id, options) for env_id in DOCKS for options in VARIANTS),
         *((REACH, options) for options in REACH_VARIANTS),
+        *((DOCK_MANIPULATE, options) for options in DOCK_MANIPULATE_VARIANTS),
     ],
     ids=lambda value: named(value) if isinstance(value, dict) else value,
 )
@@ -268,7 +310,7 @@ def test_reset_restores_the_whole_simulator(env_id, options):
     if options.get("randomize"):  # what a draw changes
         model.body("airframe").mass *= 1.5
         model.body("airframe").inertia *= 0.5
-        if env_id == REACH:
+        if env_id in (REACH, DOCK_MANIPULATE):
             model.body_mass *= 2.0
             for array in (model.actuator_gainprm, model.actuator_forcerange, model.geom_friction):
                 array *= 1.5
@@ -636,10 +678,33 @@ REACH_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
 ]
 
 
+DOCK_MANIPULATE_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
+    ({"docked": 1}, ("docked",)),
+    ({"docked": False}, ("localization='dock' needs docked=True",)),
+    ({"localization": "GPS "}, ("localization", "'gps'")),
+    ({"localisation": "gps"}, ("localisation", "did you mean 'localization'")),
+    ({"vehicle": "aquiles"}, ("vehicle", "options")),
+    ({"command_frame": "body"}, ("command_frame", "'heading'")),
+    ({"velocity_limit": 3.0}, ("velocity_limit", "Table 5.2")),
+    ({"tool": {"lengths": (0.1, 0.2)}}, ("lengths",)),
+    ({"tool": 0.1}, ("tool", "DockingToolConfig")),
+    ({"wind": "gustyy"}, ("wind", "'gusty'")),
+    ({"payload": -1.0}, ("payload",)),
+    ({"com_feedforward": 1}, ("com_feedforward",)),
+    ({"command_delay": 1.0}, ("command_delay", "0.28")),
+    ({"randomize": {"mas": (1, 1)}}, ("randomize", "mas")),
+    ({"sensors": 0.1}, ("sensors", "SensorConfig")),
+    ({"config": {}}, ("config", "ManipulationConfig")),
+    ({"reward_mode": "spars"}, ("reward_mode", "'sparse'")),
+    ({"camera": "close"}, ("camera", "'side'")),
+]
+
+
 @pytest.mark.parametrize(
     ("env_id", "options", "words"),
     [
         *((REACH, options, words) for options, words in REACH_REFUSALS),
+        *((DOCK_MANIPULATE, options, words) for options, words in DOCK_MANIPULATE_REFUSALS),
         *((env_id, options, words) for env_id in DOCKS for options, words in DOCK_REFUSALS),
         *((PLAN, options, words) for options, words in PLAN_REFUSALS),
     ],
