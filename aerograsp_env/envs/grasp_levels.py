@@ -1,6 +1,7 @@
 """How hard an episode of `aerograsp/Grasp-v0` or `aerograsp/GraspDual-v0` is.
 
-Levels differ in the air, the pose estimate, what the object stands on, its mass and its surface. The values are fixed: policies are compared on them.
+Levels differ in the air, the pose estimate, what the object stands on, its mass and its surface. The values are fixed:
+policies are compared on them.
 """
 
 from __future__ import annotations

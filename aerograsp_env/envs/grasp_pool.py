@@ -134,7 +134,7 @@ class GraspPool:
 
 
 class CrawlerPool(GraspPool):
-    """The pipe crawler on its drive units, two of its handles to the left and right of its support's axis, or nearly so."""
+    """The pipe crawler on its drive units, turned by multiples of 60° from its support."""
 
     def __init__(self, level: GraspLevel) -> None:
         self.crawler = pipe_crawler()
