@@ -22,7 +22,8 @@ OVERLOAD_SHARE = 0.98  # of the torque limit …
 OVERLOAD_TICKS = round(1.0 / TIMESTEP)  # … for longer than this
 PROTECTIVE_SHARE = 0.30
 BACKED_OFF = 0.02  # a protected servo recovers once its set-point is this near to the joint [rad]
-TWIST_DAMPING = 0.05
+TWIST_DAMPING = 0.005  # [m]
+TWIST_LENGTH = 0.05  # weight of turning against moving where an arm cannot do both [m]
 
 
 @compiled
@@ -93,12 +94,12 @@ def twist_rates(p, arm, q, twist, out):
     gram = np.zeros((n, n))
     right = np.zeros(n)
     for a in range(n):
-        for b in range(n):
-            for k in range(6):
-                gram[a, b] += j[k, a] * j[k, b]
-        gram[a, a] += TWIST_DAMPING**2
         for k in range(6):
-            right[a] += j[k, a] * twist[k]
+            weight = 1.0 if k < 3 else TWIST_LENGTH**2
+            for b in range(n):
+                gram[a, b] += weight * j[k, a] * j[k, b]
+            right[a] += weight * j[k, a] * twist[k]
+        gram[a, a] += TWIST_DAMPING**2
     rates = np.linalg.solve(gram, right)
     fastest = 1.0
     for a in range(n):
