@@ -128,14 +128,14 @@ def grasps_on_model(
     kept = order[_distinct(middles[order], axes[order], NEAR, ALIKE, PAIRS)]
     middles, axes, widths, lever, score = (a[kept] for a in (middles, axes, widths, lever, score))
     rows, frames = _frames(axes, approaches, None if plane is None else plane[1])
-    openings, reason = _openings(gripper, p, middles[rows], frames, widths[rows], plane, room)
+    opening, reason = openings(gripper, p, middles[rows], frames, widths[rows], plane, room)
     note(reasons, {"no room": (reason == 1).sum(), "support": (reason == 2).sum()})
-    free = openings > 0.0
-    rows, frames, openings = rows[free], frames[free], openings[free]
+    free = opening > 0.0
+    rows, frames, opening = rows[free], frames[free], opening[free]
     T = np.zeros((len(rows), 4, 4))
     T[:, :3, :3], T[:, :3, 3], T[:, 3, 3] = frames, middles[rows], 1.0
-    total = score[rows] - SLACK * np.maximum(ENOUGH - 0.5 * (openings - widths[rows]), 0.0)
-    found = ModelGrasps(T, widths[rows], openings, total, lever[rows], center, dict(reasons))
+    total = score[rows] - SLACK * np.maximum(ENOUGH - 0.5 * (opening - widths[rows]), 0.0)
+    found = ModelGrasps(T, widths[rows], opening, total, lever[rows], center, dict(reasons))
     return found.take(np.argsort(-total, kind="stable"))
 
 
@@ -208,7 +208,7 @@ def _frames(axes: Array, approaches: int, up: Array | None) -> tuple[NDArray[np.
     return rows, np.stack([closing, np.cross(approach, closing), approach], axis=2)
 
 
-def _openings(
+def openings(
     gripper: GripperConfig,
     p: Array,
     middles: Array,
@@ -218,7 +218,7 @@ def _openings(
     room: float,
 ) -> tuple[Array, NDArray[np.int64]]:
     """The widest opening (G,) that has room, 0 where none has, and why: 1 the object, 2 the support."""
-    openings, reason = np.zeros(len(widths)), np.zeros(len(widths), dtype=np.int64)
+    widest, reason = np.zeros(len(widths)), np.zeros(len(widths), dtype=np.int64)
     left = np.arange(len(widths))
     for narrower in NARROWER:
         tried = np.full(len(left), gripper.max_width)
@@ -232,10 +232,10 @@ def _openings(
         if plane is not None:
             blocked = _support_room(boxes, frames[left], middles[left], plane) < SUPPORT_ROOM - room
         free = ~hit & ~blocked
-        openings[left[free]] = tried[free]
+        widest[left[free]] = tried[free]
         reason[left[hit]], reason[left[blocked & ~hit]], reason[left[free]] = 1, 2, 0
         left = left[~free]
-    return openings, reason
+    return widest, reason
 
 
 def _support_room(boxes: Array, frames: Array, middles: Array, plane: tuple[Array, Array]) -> Array:

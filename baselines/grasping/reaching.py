@@ -68,8 +68,8 @@ class ReachSettings:
     posture: float = 1.2  # what a posture at its best counts against one that is just possible
     straight_down: float = 0.25  # what an approach straight down counts against a horizontal one
     motion: float = 0.3  # per metre that the base has to move
-    frame_height: float = 0.14  # of the airframe over the support
-    frame_range: float = 0.40  # from the seat's middle within which the support counts
+    frame_height: float = 0.12  # of the airframe over the support
+    frame_range: float = 0.90  # from the seat's middle within which the support counts
     arm_room: float = 0.008  # of the arms from everything at the pre-grasp
     grasp_room: float = 0.002  # at the grasp, where the fingers come near the support
 
@@ -302,7 +302,7 @@ def moved_scene(scene: Scene, T_level_object: Array) -> dict[str, Array]:
 class Choice(NamedTuple):
     """Which stored grasp to go on with."""
 
-    index: int  # −1: none can be done
+    chosen: int  # −1: none can be done
     scores: Array  # (G,) as things are now, 0 where it cannot be done
 
 

@@ -29,4 +29,7 @@ POLICIES: dict[str, dict[str, str]] = {
     "aerograsp/Grasp-v0": {
         "grasp-dls": "baselines.policies.grasp:grasp_dls",
     },
+    "aerograsp/GraspDual-v0": {
+        "dual-dls": "baselines.policies.grasp_dual:dual_dls",
+    },
 }

@@ -43,7 +43,7 @@ class GraspPolicy:
         single = np.ndim(observation["velocity"]) == 1
         rows = {name: np.asarray(value)[None] if single else np.asarray(value) for name, value in observation.items()}
         count = len(rows["velocity"])
-        pilots = list(state) if state is not None else [None] * count
+        pilots: list[Pilot | None] = list(state) if state is not None else [None] * count
         if episode_start is not None:
             fresh = np.broadcast_to(np.asarray(episode_start, dtype=bool).reshape(-1), (count,))
             pilots = [None if fresh[k] else pilots[k] for k in range(count)]

@@ -94,6 +94,11 @@ class Pilot(NamedTuple):
     settled: int  # steps in a row for which the phase's aim has been met
     failed: tuple[Array, ...]
 
+    @property
+    def grasps(self) -> tuple[Reached, ...]:
+        """Of the manoeuvre, one for every arm; none while there is no manoeuvre."""
+        return self.manoeuvre.hands if self.manoeuvre is not None else ()
+
 
 @dataclass(frozen=True)
 class PilotSettings:
@@ -215,7 +220,6 @@ class Flight:
         late = time > LIMITS.get(p.phase, np.inf)
         if p.phase == Phase.LOOK:
             return self._plan(r, p) if time >= s.look else p
-        assert p.manoeuvre is not None
         if p.phase == Phase.TRANSIT:
             apart = np.linalg.norm(self._base_error(p, s.above))
             ready = apart < s.near and self._postured(r, p)
@@ -233,12 +237,9 @@ class Flight:
             return self._close(r, p, late)
         if p.phase == Phase.LIFT:
             empty = any(
-                hand.opening < s.held * grasp.width - 0.001
-                for hand, grasp in zip(r.hands, p.manoeuvre.hands, strict=True)
+                hand.opening < s.held * grasp.width - 0.001 for hand, grasp in zip(r.hands, p.grasps, strict=True)
             )
-            p = p._replace(
-                height=min(p.height + s.lift_speed * s.step, s.lift), settled=p.settled + 1 if empty else 0
-            )
+            p = p._replace(height=min(p.height + s.lift_speed * s.step, s.lift), settled=p.settled + 1 if empty else 0)
             return self._give_up(p) if p.settled >= 10 else p
         if p.phase == Phase.RELEASE:
             return self._go(p, Phase.RETREAT) if time > 0.5 else p
@@ -274,20 +275,18 @@ class Flight:
 
     def _close(self, r: Reading, p: Pilot, late: bool) -> Pilot:
         s = self.settings
-        assert p.manoeuvre is not None
         grips = [hand.load > s.stalled for hand in r.hands]
         p = p._replace(settled=p.settled + 1 if all(grips) else 0)
         if p.settled < 5 and not late:
             return p
         holds = [
             hand.load > 0.3 * s.stalled and hand.opening > s.held * grasp.width
-            for hand, grasp in zip(r.hands, p.manoeuvre.hands, strict=True)
+            for hand, grasp in zip(r.hands, p.grasps, strict=True)
         ]
         return self._go(p, Phase.LIFT) if all(holds) else self._give_up(p)
 
     def _give_up(self, p: Pilot) -> Pilot:
-        assert p.manoeuvre is not None
-        return self._go(p, Phase.RELEASE, failed=(*p.failed, p.manoeuvre.hands[0].T_object_grasp))
+        return self._go(p, Phase.RELEASE, failed=(*p.failed, p.grasps[0].T_object_grasp))
 
     # --- where things are ---------------------------------------------------------------------------------------------
 
@@ -297,13 +296,12 @@ class Flight:
 
     def _target(self, p: Pilot, k: int) -> Array:
         """T_body_tool (4, 4) wanted of an arm's tool now."""
-        assert p.manoeuvre is not None
         if p.phase == Phase.CLOSE:
             T = np.eye(4)
             T[:3, :3] = p.track.attitude.T @ p.anchors[k, :3, :3]
             T[:3, 3] = p.track.point(1) + p.track.attitude.T @ p.anchors[k, :3, 3]
             return T
-        T = p.track.pose @ p.manoeuvre.hands[k].T_object_grasp
+        T = p.track.pose @ p.grasps[k].T_object_grasp
         T[:3, 3] -= p.travel * T[:3, 2]
         return np.asarray(T)
 
@@ -327,8 +325,7 @@ class Flight:
         return error, turn
 
     def _postured(self, r: Reading, p: Pilot) -> bool:
-        assert p.manoeuvre is not None
-        pairs = zip(r.hands, p.manoeuvre.hands, strict=True)
+        pairs = zip(r.hands, p.grasps, strict=True)
         return all(bool(np.abs(hand.q - grasp.q_before).max() < 0.15) for hand, grasp in pairs)
 
     # --- commands -----------------------------------------------------------------------------------------------------
@@ -357,9 +354,9 @@ class Flight:
 
     def _arm_rates(self, r: Reading, p: Pilot, k: int, hand: Hand) -> Array:
         s = self.settings
-        if p.manoeuvre is None or p.phase in (Phase.LOOK, Phase.LIFT, Phase.RELEASE):
+        if not p.grasps or p.phase in (Phase.LOOK, Phase.LIFT, Phase.RELEASE):
             return np.zeros(self.joints[k])
-        grasp = p.manoeuvre.hands[k]
+        grasp = p.grasps[k]
         if p.phase in (Phase.TRANSIT, Phase.RETREAT):
             return joint_rates(hand.q + hand.lag, grasp.q_before, s.posture_rate)
         T = self._target(p, k)
@@ -374,9 +371,9 @@ class Flight:
         s = self.settings
         if p.phase in (Phase.CLOSE, Phase.LIFT):
             return 1.0
-        if p.manoeuvre is None or p.phase in (Phase.RELEASE, Phase.RETREAT):
+        if not p.grasps or p.phase in (Phase.RELEASE, Phase.RETREAT):
             return -1.0
-        grasp = p.manoeuvre.hands[k]
+        grasp = p.grasps[k]
         wanted = min(grasp.opening, grasp.width + s.room)
         return float(np.clip((hand.opening - wanted) / 0.01, -1.0, 1.0)) if abs(hand.opening - wanted) > 0.002 else 0.0
 

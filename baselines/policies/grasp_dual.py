@@ -1,0 +1,53 @@
+"""GraspDual-v0: both arms take the pipe crawler by two of its handles; see `grasp_pilot`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.sim.arms.vehicles import BELEROFONTE_ARMS, VehicleConfig
+from aerograsp_env.sim.objects.crawler import crawler_handles, pipe_crawler
+from aerograsp_env.sim.objects.surface_points import surface_points
+from aerograsp_env.spatial import inverse, transform_points
+from baselines.grasping.dual import DualPlanner
+from baselines.grasping.on_bars import grasps_on_bars
+from baselines.grasping.reaching import Scene
+from baselines.kinematics.servo import ServoSettings, TrackSettings
+from baselines.policies.grasp import FAILED_COST, FRICTION, GraspPolicy, alike
+from baselines.policies.grasp_pilot import Flight, Manoeuvre, PilotSettings
+
+Array = NDArray[np.float64]
+
+POINTS = 3000  # of the crawler's surface, for the fingers' room beside its handles
+
+
+class CrawlerPlanner:
+    """Finds the best pair of grasps of the crawler's handles, which the policy knows."""
+
+    def __init__(self, planner: DualPlanner, friction: float = FRICTION) -> None:
+        self.planner, self.friction = planner, friction
+        self.surface = surface_points(pipe_crawler(), POINTS)
+        self.jaws = planner.mounts[0].arm.gripper.jaws
+
+    def __call__(self, scene: Scene, failed: tuple[Array, ...]) -> Manoeuvre | None:
+        """The manoeuvre, or None if nothing can be done."""
+        T = inverse(scene.T_level_object)
+        support = transform_points(T, scene.support), T[:3, :3] @ scene.up
+        handles = grasps_on_bars(crawler_handles(), self.surface[:, :3], self.surface[:, 3:], self.jaws, support)
+        pairs = self.planner.plan(scene, self.friction, handles).grasps
+        if not pairs:
+            return None
+        scores = [pair.score - FAILED_COST * sum(alike(pair.right.T_object_grasp, T) for T in failed) for pair in pairs]
+        best = pairs[int(np.argmax(scores))]
+        return Manoeuvre((best.right, best.left), best.T_level_object)
+
+
+def dual_dls(
+    vehicle: VehicleConfig = BELEROFONTE_ARMS,
+    settings: PilotSettings | None = None,
+    track: TrackSettings | None = None,
+    servo: ServoSettings | None = None,
+) -> GraspPolicy:
+    """The analytic policy `dual-dls` of GraspDual-v0; arguments as `grasp_dls` has them."""
+    planner = DualPlanner(vehicle)
+    return GraspPolicy(Flight(planner.arms, CrawlerPlanner(planner), settings, track, servo))
