@@ -30,6 +30,7 @@ TABLES = {
     "figure-2.20": Table("agents.figure_2_20", "a U too wide for the jaws (thesis figure 2.20)", draws=True),
     "grasp-judge": Table("agents.grasp_judge_gate", "grasps that must hold and grasps that must not, by the physics"),
     "table-5.3": Table("agents.table_5_3", "holding error by GPS, vision and tool (thesis Table 5.3)", counts=True),
+    "reach": Table("agents.reach_table", "the tool at a point, from a drifting hover (Reach-v0)", counts=True),
     "step-response": Table("agents.step_response", "velocity steps under PX4's gains", draws=True),
     "figure-5.9": Table("agents.figure_5_9", "where the two arms reach (thesis figure 5.9)", draws=True),
     "figure-5.15": Table("agents.figure_5_15", "the tool's workspace quality (thesis figure 5.15)", draws=True),

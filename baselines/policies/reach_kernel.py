@@ -37,8 +37,8 @@ class Settings(NamedTuple):
     posture_gain: float = 5.0  # [1/s] of joints away from near limits, with the motion that leaves the tool in place
     posture_weight: float = 0.01  # of that motion [m/rad]: well below the Jacobian's singular values
     sag_gain: float = 0.05  # of a control step's estimate of how far servos give way under load
-    rotation_time: float = 0.1  # [s] low-pass of the angular velocity that is fed forward
-    acceleration: float = 0.4  # [m/s²] the point's, unknown, standard deviation
+    rotation_time: float = 0.04  # [s] low-pass of the angular velocity that is fed forward
+    acceleration: float = 0.6  # [m/s²] the point's, unknown, standard deviation
     noise: float = 0.002  # [m] of an estimate that is processed images
     exact_noise: float = 0.0001  # [m] of one without delay
 
