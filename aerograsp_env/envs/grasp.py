@@ -83,25 +83,33 @@ class GraspEnv(LiftEnv):
 
     | # | name | full action | unit | frame |
     | --- | --- | --- | --- | --- |
-    | 0–2 | velocity_x, _y, _z | 0.5 | m/s | heading (x where the vehicle points, z up) |
-    | 3–8 | joint0 … joint5 | 2.0 | rad/s | joint |
-    | 9 | gripper | 0.03 | m/s of each finger | > 0 closes |
+    | 0 | velocity_x | 0.5 | m/s | heading |
+    | 1 | velocity_y | 0.5 | m/s | heading |
+    | 2 | velocity_z | 0.5 | m/s | heading |
+    | 3 | joint0 | 2.0 | rad/s | joint |
+    | 4 | joint1 | 2.0 | rad/s | joint |
+    | 5 | joint2 | 2.0 | rad/s | joint |
+    | 6 | joint3 | 2.0 | rad/s | joint |
+    | 7 | joint4 | 2.0 | rad/s | joint |
+    | 8 | joint5 | 2.0 | rad/s | joint |
+    | 9 | gripper | 0.03 | m/s of each finger, > 0 closes | jaws |
 
-    `vehicle="aquiles"` has four joints. With `action_mode="ee_twist"` the arm's entries are the tool's twist relative
-    to the vehicle, body frame: linear (3, full action 0.25 m/s), angular (3, 1 rad/s). The gripper's screw stops by
-    itself when its motor stalls, and cannot be driven back: at 0 it keeps what it holds.
+    The heading frame has x where the vehicle points and z up. `vehicle="aquiles"` has four joints. With
+    `action_mode="ee_twist"` the arm's entries are the tool's twist relative to the vehicle, body frame: linear (3, full
+    action 0.25 m/s), angular (3, 1 rad/s). The gripper's screw stops by itself when its motor stalls, and cannot be
+    driven back: at 0 it keeps what it holds.
 
-    Observation, Dict of float32 Boxes within ± bound (n joints):
+    Observation, Dict of float32 Boxes within ± bound:
 
     | name | size | bound | what |
     | --- | --- | --- | --- |
     | velocity | 3 | 5 | the autopilot's velocity estimate, body frame [m/s] |
     | attitude | 3 | 3.1415927 | estimated roll, pitch, yaw [rad] |
     | angular_velocity | 3 | 20 | gyroscope, body frame [rad/s] |
-    | joints | n | 3.1415927 | encoder angles [rad] |
-    | joint_rates | n | 20 | speeds that the servos report [rad/s] |
-    | joint_loads | n | 1.5 | servo torques as shares of their limits |
-    | command_lag | n | 1 | servo set-points − encoder angles [rad] |
+    | joints | 6 | 3.1415927 | encoder angles [rad] |
+    | joint_rates | 6 | 20 | speeds that the servos report [rad/s] |
+    | joint_loads | 6 | 1.5 | servo torques as shares of their limits |
+    | command_lag | 6 | 1 | servo set-points − encoder angles [rad] |
     | gripper | 2 | 2 | opening [m]; motor load as a share of its stall force |
     | tool | 9 | 2 | tool frame by encoders, body frame: position [m], rotation |
     | object | 9 | 5 | object's frame as the tracker reports it, body frame: position [m], rotation |
@@ -112,22 +120,6 @@ class GraspEnv(LiftEnv):
 
     Rotations are 6-D (their first two columns, one after the other). The support is seen in the same images, with the
     same errors of place. `object_cloud` is the same throughout an episode.
-
-    Levels (`level=`), drawn uniformly per episode unless single:
-
-    | level | wind | support | object [kg] | its friction | estimate's bias | delay |
-    | --- | --- | --- | --- | --- | --- | --- |
-    | easy | light | level table or saddle, ± 10° | 0.10–0.25 | 0.7 | 0–2 mm, 0–0.5° | 60 ms |
-    | gusty | gusty | as easy | as easy | 0.7 | as easy | 60 ms |
-    | biased | light | as easy | as easy | 0.7 | 5–15 mm, 0–3° | 100 ms |
-    | oblique | light | 15–30° (in steps of 5°), any heading | as easy | 0.7 | as easy | 60 ms |
-    | heavy | light | as easy | 0.2–0.8 | 0.25–0.45 | as easy | 60 ms |
-
-    The pads' friction is 0.7, a contact's the geometric mean of both. Biases have any direction. The object's centre of
-    mass begins 0.16 m ahead of the arm's base and 0.49 m below it (aquiles: 0.15 and 0.46 m), ± 4, 4 and 2 cm, lower
-    where it would come nearer than 3 cm to the open fingers. Objects and resting poses are those that the jaws can take
-    by geometry alone: an antipodal pair at most 9 cm wide, around which the open gripper has room, approached from at
-    most 70° off the vertical (`aerograsp_env.sim.manipulation.jaw_room`).
 
     Reward (dense), the sum of `info["reward_terms"]`, with h the rise of the object's centre of mass since the start:
 
@@ -163,9 +155,25 @@ class GraspEnv(LiftEnv):
     held it) [m], effort (rms change of action per step), contacts (steps in which the arm touched the vehicle or the
     surroundings), crash, and for each cause 1 or 0. `info["object"]` and `info["support"]` name what was drawn.
 
+    Levels (`level=`), drawn uniformly per episode unless single:
+
+    | level | wind | support | object [kg] | its friction | estimate's bias | delay |
+    | --- | --- | --- | --- | --- | --- | --- |
+    | easy | light | level table or saddle, ± 10° | 0.10–0.25 | 0.7 | 0–2 mm, 0–0.5° | 60 ms |
+    | gusty | gusty | as easy | as easy | 0.7 | as easy | 60 ms |
+    | biased | light | as easy | as easy | 0.7 | 5–15 mm, 0–3° | 100 ms |
+    | oblique | light | 15–30° (in steps of 5°), any heading | as easy | 0.7 | as easy | 60 ms |
+    | heavy | light | as easy | 0.2–0.8 | 0.25–0.45 | as easy | 60 ms |
+
+    The pads' friction is 0.7, a contact's the geometric mean of both. Biases have any direction. The object's centre of
+    mass begins 0.16 m ahead of the arm's base and 0.49 m below it (aquiles: 0.15 and 0.46 m), ± 4, 4 and 2 cm, lower
+    where it would come nearer than 3 cm to the open fingers. Objects and resting poses are those that the jaws can take
+    by geometry alone: an antipodal pair at most 9 cm wide, around which the open gripper has room, approached from at
+    most 70° off the vertical (`aerograsp_env.sim.manipulation.jaw_room`).
+
     Reset options: "object", the name of one of the environment's objects or families; "wind_direction" [rad].
 
-    Options: `level` (a name, a `GraspLevel`, or a mapping of changes to the easy one), `objects="test"|"train"|
+    Options: `level` (a name, a GraspLevel, or a mapping of changes to the easy one), `objects="test"|"train"|
     "validation"`, an object's or a family's name, a mesh's path, a GraspObject, or a sequence of the last four;
     `vehicle="belerofonte"|"aquiles"`, `action_mode="joint_velocity"|"ee_twist"`, `pose="estimated"|"exact"` and the
     tracker's `estimate` (but for what the level says of it), `wind` (instead of the level's), `com_feedforward`,

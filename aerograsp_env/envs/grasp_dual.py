@@ -53,11 +53,23 @@ class GraspDualEnv(LiftEnv):
 
     | # | name | full action | unit | frame |
     | --- | --- | --- | --- | --- |
-    | 0–2 | velocity_x, _y, _z | 0.5 | m/s | heading (x where the vehicle points, z up) |
-    | 3–8 | right_joint0 … right_joint5 | 2.0 | rad/s | joint |
-    | 9 | right_gripper | 0.03 | m/s of each finger | > 0 closes |
-    | 10–15 | left_joint0 … left_joint5 | 2.0 | rad/s | joint |
-    | 16 | left_gripper | 0.03 | m/s of each finger | > 0 closes |
+    | 0 | velocity_x | 0.5 | m/s | heading |
+    | 1 | velocity_y | 0.5 | m/s | heading |
+    | 2 | velocity_z | 0.5 | m/s | heading |
+    | 3 | right_joint0 | 2.0 | rad/s | joint |
+    | 4 | right_joint1 | 2.0 | rad/s | joint |
+    | 5 | right_joint2 | 2.0 | rad/s | joint |
+    | 6 | right_joint3 | 2.0 | rad/s | joint |
+    | 7 | right_joint4 | 2.0 | rad/s | joint |
+    | 8 | right_joint5 | 2.0 | rad/s | joint |
+    | 9 | right_gripper | 0.03 | m/s of each finger, > 0 closes | jaws |
+    | 10 | left_joint0 | 2.0 | rad/s | joint |
+    | 11 | left_joint1 | 2.0 | rad/s | joint |
+    | 12 | left_joint2 | 2.0 | rad/s | joint |
+    | 13 | left_joint3 | 2.0 | rad/s | joint |
+    | 14 | left_joint4 | 2.0 | rad/s | joint |
+    | 15 | left_joint5 | 2.0 | rad/s | joint |
+    | 16 | left_gripper | 0.03 | m/s of each finger, > 0 closes | jaws |
 
     Observation, Dict of float32 Boxes within ± bound; of what each arm has, the right one's come first:
 
@@ -66,17 +78,35 @@ class GraspDualEnv(LiftEnv):
     | velocity | 3 | 5 | the autopilot's velocity estimate, body frame [m/s] |
     | attitude | 3 | 3.1415927 | estimated roll, pitch, yaw [rad] |
     | angular_velocity | 3 | 20 | gyroscope, body frame [rad/s] |
-    | joints | 2 × 6 | 3.1415927 | encoder angles [rad] |
-    | joint_rates | 2 × 6 | 20 | speeds that the servos report [rad/s] |
-    | joint_loads | 2 × 6 | 1.5 | servo torques as shares of their limits |
-    | command_lag | 2 × 6 | 1 | servo set-points − encoder angles [rad] |
-    | gripper | 2 × 2 | 2 | opening [m]; motor load as a share of its stall force |
-    | tool | 2 × 9 | 2 | tool frame by encoders, body frame: position [m], rotation |
+    | joints | 12 | 3.1415927 | encoder angles [rad] |
+    | joint_rates | 12 | 20 | speeds that the servos report [rad/s] |
+    | joint_loads | 12 | 1.5 | servo torques as shares of their limits |
+    | command_lag | 12 | 1 | servo set-points − encoder angles [rad] |
+    | gripper | 4 | 2 | opening [m]; motor load as a share of its stall force |
+    | tool | 18 | 2 | tool frame by encoders, body frame: position [m], rotation |
     | object | 9 | 5 | crawler's frame as the tracker reports it, body frame: position [m], rotation |
     | object_age | 1 | 20 | time since the image that `object` and `support` come from [s] |
     | support | 6 | 5 | the surface the crawler stood on, body frame: outward normal, the seat's middle [m] |
     | previous_action | 17 | 1 | the action just given |
     | object_cloud | 1536 | 1 | tracker's model: 256 × (point [m], outward normal), crawler's frame |
+
+    Reward (dense), the sum of `info["reward_terms"]`, with h the rise of the crawler's centre of mass since the start:
+
+    | term | value |
+    | --- | --- |
+    | reach | 0.2 · tolerance(mean distance of both tools from its surface, margin 0.15 m, long_tail) |
+    | grip | 0.05 for each finger that touches it |
+    | lift | 0.3 · clip(h / 0.10 m, 0, 1) while a finger touches it |
+    | hold | 0.3 while h ≥ 0.10 m and a finger touches it |
+    | effort | −0.1 · min(‖Δaction‖², 4) |
+    | crash | −10 on termination |
+
+    Sparse: `held`, 1 while h has been ≥ 0.10 m for 1 s.
+
+    Success: h ≥ 0.10 m for 1 s without a break at some time of the episode, and no crash in it. The episode goes on.
+
+    Termination, `info["cause"]` and `info["metrics"]` are those of Grasp-v0; "it holds the object" when all four
+    fingers touch the crawler, and slip is that in the right jaws.
 
     Levels (`level=`), drawn uniformly per episode unless single:
 
@@ -92,16 +122,11 @@ class GraspDualEnv(LiftEnv):
     line across the vehicle through the centre of mass meets both. Its centre of mass begins 0.16 m ahead of the arms'
     bases and 0.49 m below them, ± 3, 3 and 2 cm.
 
-    Reward, success, termination, causes and metrics are those of Grasp-v0, with
+    Reset options: "object" ("pipe_crawler"), "wind_direction" [rad].
 
-    | term | value |
-    | --- | --- |
-    | reach | that of one arm, of the mean distance of both |
-    | grip | 0.05 for each finger that touches the crawler |
-
-    and "it holds the object" when all four fingers touch it. Slip is that in the right jaws.
-
-    Reset options: "object" ("pipe_crawler"), "wind_direction" [rad]. Options: those of Grasp-v0 but for `objects`.
+    Options: those of Grasp-v0 but for objects: `level`, `vehicle`, `action_mode`, `pose`, `estimate`, `wind`,
+    `com_feedforward`, `velocity_limit`, `command_delay`, `randomize`, `sensors`, `autopilot`, `reward_mode`,
+    `render_mode`, `camera`, `config`.
     """
 
     build = staticmethod(grasp_dual_task)

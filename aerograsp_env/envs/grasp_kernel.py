@@ -46,7 +46,7 @@ METRICS = ("lift", "lift_time", "hover", "slip", "effort", "contacts", "crash", 
 F, I = np.float64, np.int64  # noqa: E741
 RECORD = np.dtype(
     [
-        ("setting", I),  # which of the task's settings stands in the scene
+        ("scene", I, (4,)),  # by which the pool knows what stands in the world
         ("support", F, (4, 4)),  # T_world_seat
         ("center", F, (3,)),  # the object's centre of mass, its frame [m]
         ("cloud", F, (CLOUD, 6)),  # points and normals, object frame

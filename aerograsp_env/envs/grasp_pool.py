@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -38,10 +39,18 @@ MODELS = 48  # compiled scenes that are kept
 _ATTEMPTS = 200
 
 
+class Scene(NamedTuple):
+    """What stands in a scene."""
+
+    item: GraspObject  # as it is in the pool: its mass and surface are drawn later
+    support: Support
+
+
 class Setting(NamedTuple):
     """An object at rest."""
 
-    item: GraspObject  # as it is in the pool: its mass and surface are drawn later
+    scene: tuple[int, int, int, int]  # by which the pool knows the scene
+    item: GraspObject
     support: Support
     T_world_object: Array  # (4, 4), in the support's own world
 
@@ -71,7 +80,7 @@ class GraspPool:
         self._level, self._jaws, self._wide = level, jaws, wide
         self._slopes = slopes(level)
         self._items: dict[tuple[str, int], GraspObject] = {}
-        self._settings: dict[tuple[GraspObject, Support, int], Setting | None] = {}
+        self._poses: dict[tuple[GraspObject, Support, int], Array | None] = {}
         self._models: OrderedDict[tuple[GraspObject, Support], mujoco.MjModel] = OrderedDict()
 
     def item(self, name: str, member: int) -> GraspObject:
@@ -81,46 +90,50 @@ class GraspPool:
             self._items[name, member] = self._choice.makers[name](rng)
         return self._items[name, member]
 
+    def scene(self, index: Sequence[int]) -> Scene:
+        """Number of the name, of the family's member, of the kind of support, and of its slope."""
+        name, member, kind, slope = (int(i) for i in index)
+        support = make_support(self._level.supports[kind], self._slopes[slope], self._wide)
+        return Scene(self.item(self.names[name], member), support)
+
     def draw(self, rng: np.random.Generator, name: str | None = None) -> Setting:
         """Name, member, support and slope uniformly, then a pose in which it can be taken.
 
         Raises:
             ValueError: none was found: the object is too large, or too wide for the jaws however it lies.
         """
-        wanted = name
+        counts = len(self.names), MEMBERS, len(self._level.supports), len(self._slopes), PLACEMENTS
         for _ in range(_ATTEMPTS):
-            name = wanted if wanted is not None else self.names[int(rng.integers(len(self.names)))]
-            item = self.item(name, int(rng.integers(MEMBERS)))
-            kind = self._level.supports[int(rng.integers(len(self._level.supports)))]
-            support = make_support(kind, self._slopes[int(rng.integers(len(self._slopes)))], self._wide)
-            first = int(rng.integers(PLACEMENTS))
+            which, member, kind, slope, first = (int(rng.integers(count)) for count in counts)
+            index = (which if name is None else self.names.index(name), member, kind, slope)
+            item, support = self.scene(index)
             for k in range(PLACEMENTS):
-                setting = self._setting(item, support, (first + k) % PLACEMENTS)
-                if setting is not None:
-                    return setting
+                T = self._pose(item, support, (first + k) % PLACEMENTS)
+                if T is not None:
+                    return Setting(index, item, support, T)
         raise ValueError(
             f"objects: expected some that stand on {', '.join(self._level.supports)} and that jaws of 0.10 m can take "
-            f"there, got {wanted or ', '.join(self.names)}"
+            f"there, got {name or ', '.join(self.names)}"
         )
 
-    def _setting(self, item: GraspObject, support: Support, index: int) -> Setting | None:
-        key = (item, support, index)
-        if key not in self._settings:
-            self._settings[key] = self._found(*key)
-        return self._settings[key]
+    def _pose(self, item: GraspObject, support: Support, number: int) -> Array | None:
+        key = (item, support, number)
+        if key not in self._poses:
+            self._poses[key] = self._found(*key)
+        return self._poses[key]
 
-    def _found(self, item: GraspObject, support: Support, index: int) -> Setting | None:
+    def _found(self, item: GraspObject, support: Support, number: int) -> Array | None:
         try:
-            T = self._place(item, support, index)
+            T = self._place(item, support, number)
         except PlacementError:
             return None
         if self._jaws is not None and not can_be_taken(item, T, support, self._jaws):
             return None
-        return Setting(item, support, T)
+        return T
 
-    def _place(self, item: GraspObject, support: Support, index: int) -> Array:
+    def _place(self, item: GraspObject, support: Support, number: int) -> Array:
         """T_world_object of the item's pose with this number on a support."""
-        return place(item, support, np.random.default_rng([index, *item.name.encode()]))
+        return place(item, support, np.random.default_rng([number, *item.name.encode()]))
 
     def model(self, config: ManipulationConfig, setting: Setting) -> mujoco.MjModel:
         """The compiled scene with the pool's own object; copy it before you change it."""
@@ -142,8 +155,8 @@ class CrawlerPool(GraspPool):
         poses = resting_poses(self.crawler)
         self._upright = max(poses, key=lambda pose: pose.T_support_object[2, 2])
 
-    def _place(self, item: GraspObject, support: Support, index: int) -> Array:
+    def _place(self, item: GraspObject, support: Support, number: int) -> Array:
         T = self._upright.T_support_object
-        heading = index * math.pi / 3.0 - math.atan2(T[1, 0], T[0, 0])
-        rng = np.random.default_rng([index, *item.name.encode()])
+        heading = number * math.pi / 3.0 - math.atan2(T[1, 0], T[0, 0])
+        rng = np.random.default_rng([number, *item.name.encode()])
         return place(item, support, rng, pose=self._upright, heading=heading, spread=0.01)

@@ -48,10 +48,12 @@ POSTURES = {
 }
 
 
+_JAW_UNIT = "m/s of each finger, > 0 closes"
+
+
 class _Drawn(NamedTuple):
     """What `scene` drew for the episode that `begin` places."""
 
-    number: int  # of the setting
     setting: Setting
     item: GraspObject  # with its mass and surface
 
@@ -89,8 +91,6 @@ class GraspTask(Task):
             for mount in self.mounts
             for name in ("left_pad", "right_pad", "left_finger", "right_finger")
         ]
-        self._settings: list[Setting] = []  # those that were drawn, by their number
-        self._numbers: dict[tuple[GraspObject, Any], int] = {}
         self._drawn: _Drawn | None = None
 
     def reward_terms(self, reward_mode: str) -> tuple[str, ...]:
@@ -104,12 +104,7 @@ class GraspTask(Task):
 
     def shown_pieces(self, record: np.void) -> tuple[Piece]:
         """The episode's object and support."""
-        setting = self._settings[int(record["setting"])]
-        return (standing(setting.item, setting.support),)
-
-    def setting(self, record: np.void) -> Setting:
-        """What stands in the episode with this record."""
-        return self._settings[int(record["setting"])]
+        return (standing(*self.pool.scene(record["scene"])),)
 
     def scene(self, rng: np.random.Generator, options: dict[str, Any]) -> mujoco.MjModel:
         """Draw the object, what it stands on and how, its mass and surface."""
@@ -121,11 +116,7 @@ class GraspTask(Task):
         item = heavier(setting.item, _within(self.level.mass, share[0]), _within(self.level.friction, share[1]))
         model = copy.copy(self.pool.model(self.config, setting))
         set_item(model, item, setting.support, self._pads, self.mounts[0].arm.gripper.jaws.friction)
-        key = setting.item, setting.support
-        if key not in self._numbers:
-            self._numbers[key] = len(self._settings)
-            self._settings.append(setting)
-        self._drawn = _Drawn(self._numbers[key], setting, item)
+        self._drawn = _Drawn(setting, item)
         return model
 
     def begin(self, episode: Episode) -> None:
@@ -147,7 +138,7 @@ class GraspTask(Task):
         episode.data.qpos[a : a + 3], episode.data.qpos[a + 3 : a + 7] = T[:3, 3], quaternion(T[:3, :3])
         episode.data.mocap_pos[mocap] = turned[:3, 3]
         episode.data.mocap_quat[mocap] = quaternion(turned[:3, :3])
-        record["setting"] = drawn.number
+        record["scene"] = setting.scene
         record["support"] = turned @ setting.support.T_world_seat
         record["center"] = item.center_of_mass
         record["cloud"] = surface_points(setting.item, CLOUD)
@@ -172,8 +163,8 @@ class GraspTask(Task):
 
     def told(self, record: np.void) -> dict[str, str]:
         """What `info` says of an episode: the cause of its failure so far, its object and support."""
-        setting = self.setting(record)
-        return {"cause": CAUSES[record["cause"]], "object": setting.item.name, "support": setting.support.name}
+        item, support = self.pool.scene(record["scene"])
+        return {"cause": CAUSES[record["cause"]], "object": item.name, "support": support.name}
 
 
 def _within(bounds: tuple[float, float] | None, share: float) -> float | None:
@@ -191,7 +182,9 @@ def _actions(config: ManipulationConfig) -> tuple[tuple[ActionDimension, ...], N
     for i, mount in enumerate(config.machine.mounts):
         prefix = f"{mount.side}_" if len(config.machine.mounts) > 1 else ""
         actions += dimensions[each * i : each * (i + 1)]
-        actions.append(ActionDimension(f"{prefix}gripper", mount.arm.gripper.jaw_speed, "m/s each finger", "closing"))
+        actions.append(
+            ActionDimension(f"{prefix}gripper", mount.arm.gripper.jaw_speed, "m/s of each finger, > 0 closes", "jaws")
+        )
         slots += [*arm_slots[each * i : each * (i + 1)], lay.GRIPPER_SLOT + i]
     return tuple(actions), np.array(slots)
 
