@@ -63,15 +63,15 @@ def _deliver(p, s):
 
 @compiled
 def begin_track(p, s, truth, noise):
-    """The first estimate of an episode: tracking has run for a while on a pose at rest. `noise` is the whole row."""
+    """The first estimate of an episode: all images up to now showed what the newest does. `noise` is the whole row."""
     row = noise[lay.TRACK_FIRST :]
     if p.track_exact == 1:
         s.track[:] = truth
         return
-    for c in range(lay.CAPTURES):
-        s.capture_age[c] = -1
-    s.capture_age[0] = p.track_delay
     _measure(p, s, truth, row, s.captures[0])
+    for c in range(lay.CAPTURES):
+        s.captures[c] = s.captures[0]
+        s.capture_age[c] = int(s.track_phase + c * p.track_interval)
     _deliver(p, s)
 
 

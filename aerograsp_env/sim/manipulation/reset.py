@@ -16,7 +16,7 @@ from aerograsp_env.sim.manipulation.config import HOVER, ManipulationConfig, Man
 from aerograsp_env.sim.manipulation.kernel import feedforward_torque
 from aerograsp_env.sim.manipulation.kernel_arm import center_of_mass
 from aerograsp_env.sim.manipulation.task import Episode, Task
-from aerograsp_env.sim.parameters import set_sensors
+from aerograsp_env.sim.parameters import HOVER_OFFSET, set_sensors
 from aerograsp_env.sim.reset import close_loop
 from aerograsp_env.sim.scene import DOCK_POSITION, TIMESTEP, quaternion
 from aerograsp_env.sim.sensors import SensorConfig
@@ -124,9 +124,8 @@ def _dock(p: np.ndarray, s: np.ndarray, config: ManipulationConfig, data: mujoco
     s["locked"] = 1 - int(config.docked)
     angles = [0.0, 5.0, 109.0, -24.0, 0.0] if config.docked else [0.0, 0.0, 33.0, 57.0, 0.0]
     data.qpos[p["joint_address"]] = np.radians(angles)
-    if config.docked:  # the airframe's place with the tool's tip at its nominal
-        tip = DOCK_POSITION + R_WORLD_BASE @ np.asarray(config.tool.nominal_tip)
-        data.qpos[:3] = tip - np.asarray(config.airframe.tip_position)
+    tip = DOCK_POSITION + R_WORLD_BASE @ np.asarray(config.tool.nominal_tip)
+    data.qpos[:3] = tip - np.asarray(config.airframe.tip_position) + (0.0 if config.docked else HOVER_OFFSET)
 
 
 def _couple(p: np.ndarray, model: mujoco.MjModel, data: mujoco.MjData) -> None:
