@@ -34,6 +34,9 @@ TABLES = {
     "step-response": Table("agents.step_response", "velocity steps under PX4's gains", draws=True),
     "figure-5.9": Table("agents.figure_5_9", "where the two arms reach (thesis figure 5.9)", draws=True),
     "figure-5.15": Table("agents.figure_5_15", "the tool's workspace quality (thesis figure 5.15)", draws=True),
+    "figure-5.24": Table(
+        "agents.figure_5_24", "an end-effector held docked or hovering (thesis figure 5.24)", counts=True, draws=True
+    ),
     "firefly-motion": Table(
         "agents.firefly_motion", "motion beside a real Firefly's flight (EuRoC data set)", real=True
     ),

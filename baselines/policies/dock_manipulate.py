@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
 
 # The point does not move; what seems to is the drift of the velocity estimate by which the vehicle's motion is known.
-SETTINGS = Settings(acceleration=0.1, exact_noise=0.001)
+SETTINGS = Settings(acceleration=0.4, exact_noise=0.001)
 
 
 class DockManipulateState(NamedTuple):
