@@ -20,6 +20,9 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import aerograsp_env
 from aerograsp_env.envs.dock import DockAttachEnv, DockEnv
 from aerograsp_env.envs.dock_manipulate import DockManipulateEnv, dock_manipulate_task
+from aerograsp_env.envs.grasp import GraspEnv, grasp_task
+from aerograsp_env.envs.grasp_dual import GraspDualEnv, grasp_dual_task
+from aerograsp_env.envs.grasp_levels import GraspLevel
 from aerograsp_env.envs.grasp_options import GraspRandomizeConfig
 from aerograsp_env.envs.grasp_plan import GraspPlanEnv
 from aerograsp_env.envs.options import available_render_modes
@@ -44,13 +47,17 @@ IDS = tuple(ENTRY_POINTS)
 PLAN = "aerograsp/GraspPlan-v0"
 REACH = "aerograsp/Reach-v0"
 DOCK_MANIPULATE = "aerograsp/DockManipulate-v0"
+GRASP, GRASP_DUAL = "aerograsp/Grasp-v0", "aerograsp/GraspDual-v0"
 DOCKS = (DOCK, ATTACH)
+LIFTS = (GRASP, GRASP_DUAL)
 CLASSES = {
     DOCK: DockEnv,
     ATTACH: DockAttachEnv,
     PLAN: GraspPlanEnv,
     REACH: ReachEnv,
     DOCK_MANIPULATE: DockManipulateEnv,
+    GRASP: GraspEnv,
+    GRASP_DUAL: GraspDualEnv,
 }
 SMALL: dict[str, Any] = {"width": 48, "height": 40}
 
@@ -129,7 +136,34 @@ DOCK_MANIPULATE_OPTIONS: list[dict[str, Any]] = [
     *({"render_mode": mode} for mode in (None, *available_render_modes())),
     *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front", "vehicle")),
 ]
+LEVELS = ("easy", "gusty", "biased", "oblique", "heavy")
+GRASP_DUAL_OPTIONS: list[dict[str, Any]] = [
+    {},
+    *({"level": level} for level in (*LEVELS, GraspLevel(mass=None), {"mass": (0.3, 0.4)})),
+    {"vehicle": "belerofonte"},
+    *({"action_mode": mode} for mode in ("joint_velocity", "ee_twist")),
+    *({"pose": pose} for pose in ("exact", "estimated")),
+    {"estimate": {"loss_interval": 1.0}},
+    *({"wind": wind} for wind in ("calm", "light", "gusty", WindConfig(4.0, 0.3, 1.0), {"mean_speed": 1.0})),
+    *({"com_feedforward": value} for value in (True, False)),
+    *({"velocity_limit": limit} for limit in (0.3, (2.0, 2.0, 1.0))),
+    *({"command_delay": delay} for delay in (0.0, 0.1, (0.06, 0.10))),
+    *({"randomize": value} for value in (False, True, {"servo_gains": (1.0, 2.0)})),
+    {"sensors": SensorConfig().scaled(0.5)},
+    {"autopilot": {"mpc_xy_vel_p_acc": 2.5}},
+    {"config": ManipulationConfig(joint_rate=1.0)},
+    *({"reward_mode": mode} for mode in ("dense", "sparse")),
+    *({"render_mode": mode} for mode in (None, *available_render_modes())),
+    *({"camera": camera, "render_mode": "rgb_array"} for camera in ("side", "front", "close", "vehicle")),
+]
+GRASP_OPTIONS: list[dict[str, Any]] = [
+    *GRASP_DUAL_OPTIONS,
+    {"vehicle": "aquiles"},
+    *({"objects": objects} for objects in ("test", "train", "validation", "mug", ["mug", "can"], named_objects()[3])),
+]
 OPTIONS = {
+    GRASP: GRASP_OPTIONS,
+    GRASP_DUAL: GRASP_DUAL_OPTIONS,
     DOCK: DOCK_OPTIONS,
     ATTACH: DOCK_OPTIONS,
     PLAN: PLAN_OPTIONS,
@@ -198,6 +232,12 @@ def test_the_options_above_name_every_option_there_is():
     }
     named_ones = {name for options in DOCK_MANIPULATE_OPTIONS for name in options}
     assert known - {"self", "options"} - looks == named_ones
+    for env, task, options in (
+        (GraspEnv, grasp_task, GRASP_OPTIONS),
+        (GraspDualEnv, grasp_dual_task, GRASP_DUAL_OPTIONS),
+    ):
+        known = {*inspect.signature(env.__init__).parameters, *inspect.signature(task).parameters}
+        assert known - {"self", "options"} - looks == {name for option in options for name in option}
     known = {*inspect.signature(GraspPlanEnv.__init__).parameters}
     assert known - {"self"} - looks == {name for options in PLAN_OPTIONS for name in options}
 
@@ -254,6 +294,7 @@ REACH_VARIANTS: list[dict[str, Any]] = [
     {"vehicle": "aquiles", "action_mode": "ee_twist", "payload": 0.2},
 ]
 DOCK_MANIPULATE_VARIANTS: list[dict[str, Any]] = [*VARIANTS, {"payload": 0.2, "command_frame": "heading"}]
+LIFT_VARIANTS: list[dict[str, Any]] = [{}, {"randomize": True, "command_delay": (0.02, 0.10), "level": "oblique"}]
 PLAN_VARIANTS: list[dict[str, Any]] = [{}, {"randomize": True, "objects": "train"}, {"points": 64}]
 every_variant = pytest.mark.parametrize(
     ("env_id", "options"),
@@ -262,6 +303,7 @@ every_variant = pytest.mark.parametrize(
         *((PLAN, options) for options in PLAN_VARIANTS),
         *((REACH, options) for options in REACH_VARIANTS),
         *((DOCK_MANIPULATE, options) for options in DOCK_MANIPULATE_VARIANTS),
+        *((env_id, options) for env_id in LIFTS for options in LIFT_VARIANTS),
     ],
     ids=lambda value: named(value) if isinstance(value, dict) else value,
 )
@@ -284,6 +326,7 @@ def test_a_seed_determines_everything(env_id, options):
         *((env_id, options) for env_id in DOCKS for options in VARIANTS),
         *((REACH, options) for options in REACH_VARIANTS),
         *((DOCK_MANIPULATE, options) for options in DOCK_MANIPULATE_VARIANTS),
+        *((env_id, options) for env_id in LIFTS for options in LIFT_VARIANTS),
     ],
     ids=lambda value: named(value) if isinstance(value, dict) else value,
 )
@@ -310,7 +353,7 @@ def test_reset_restores_the_whole_simulator(env_id, options):
     if options.get("randomize"):  # what a draw changes
         model.body("airframe").mass *= 1.5
         model.body("airframe").inertia *= 0.5
-        if env_id in (REACH, DOCK_MANIPULATE):
+        if env_id in (REACH, DOCK_MANIPULATE, *LIFTS):
             model.body_mass *= 2.0
             for array in (model.actuator_gainprm, model.actuator_forcerange, model.geom_friction):
                 array *= 1.5
@@ -700,9 +743,32 @@ DOCK_MANIPULATE_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
 ]
 
 
+GRASP_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
+    ({"level": "eazy"}, ("level", "'easy'")),
+    ({"level": {"masse": (0.1, 0.2)}}, ("level", "'mass'")),
+    ({"level": {"mass": (0.2, 0.1)}}, ("GraspLevel.mass",)),
+    ({"level": {"slope": (0.0, 1.0)}}, ("GraspLevel.slope",)),
+    ({"level": {"supports": ()}}, ("GraspLevel.supports",)),
+    ({"level": {"spread": (0.1, 0.1)}}, ("GraspLevel.spread",)),
+    ({"objects": "mugg"}, ("objects", "'mug'")),
+    ({"objects": []}, ("objects", "sequence")),
+    ({"vehicle": "aquilles"}, ("vehicle", "'aquiles'")),
+    ({"pose": "exakt"}, ("pose", "'exact'")),
+    ({"estimate": 0.01}, ("estimate", "PoseEstimateConfig")),
+    ({"wind": "gustyy"}, ("wind", "'gusty'")),
+    ({"velocity_limit": 3.0}, ("velocity_limit", "Table 5.2")),
+    ({"localization": "gps"}, ("localization", "options")),
+    ({"config": {}}, ("config", "ManipulationConfig")),
+    ({"camera": "top"}, ("camera", "'side'")),
+]
+
+
 @pytest.mark.parametrize(
     ("env_id", "options", "words"),
     [
+        *((GRASP, options, words) for options, words in GRASP_REFUSALS),
+        (GRASP_DUAL, {"vehicle": "aquiles"}, ("aquiles", "'left'")),
+        (GRASP_DUAL, {"objects": "mug"}, ("objects", "options")),
         *((REACH, options, words) for options, words in REACH_REFUSALS),
         *((DOCK_MANIPULATE, options, words) for options, words in DOCK_MANIPULATE_REFUSALS),
         *((env_id, options, words) for env_id in DOCKS for options, words in DOCK_REFUSALS),
