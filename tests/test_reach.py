@@ -11,7 +11,8 @@ import pytest
 
 import aerograsp_env  # noqa: F401  registers the ids
 from aerograsp_env.envs.reach import ReachEnv, goal_reward
-from aerograsp_env.envs.reach_task import BENDING_RADIUS, HIGHEST, HINDMOST, POINTS, SKIP, equidistant
+from aerograsp_env.envs.reach_path import BENDING_RADIUS, HIGHEST, HINDMOST, POINTS, equidistant
+from aerograsp_env.envs.reach_task import SKIP
 from aerograsp_env.sim.manipulation.config import PoseEstimateConfig
 from aerograsp_env.sim.sensors import SensorConfig
 from aerograsp_env.spatial import transform
