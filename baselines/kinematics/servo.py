@@ -113,9 +113,7 @@ def start_track(T_body_object: ArrayLike, points: ArrayLike, rpy: ArrayLike, vel
     v = R @ exactly(velocity, (3,), "velocity")
     attitudes = np.repeat(R[None], REMEMBERED, axis=0)
     zero = np.zeros(3)
-    return Track(
-        0, 0, zero, R, v, np.zeros((REMEMBERED, 3)), attitudes, seen @ R.T, np.zeros_like(seen), R @ T[:3, :3]
-    )
+    return Track(0, 0, zero, R, v, np.zeros((REMEMBERED, 3)), attitudes, seen @ R.T, np.zeros_like(seen), R @ T[:3, :3])
 
 
 def update_track(
