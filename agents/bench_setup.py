@@ -56,7 +56,6 @@ class Setup:
     film_episodes: int = 1  # of the best row; 0: none, for the study has films of its own
     conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # name → changes; the first comes first
     filmed: tuple[str, ...] = ()  # conditions that the study chooses its films from; by default the first
-    look: Mapping[str, Any] = field(default_factory=dict)  # of the study's films
     study: str = ""  # "module:function" of what the report adds: `study(Measured) -> Study`
 
     def rows(self, env_id: str, quick: bool) -> list[str]:
@@ -126,7 +125,6 @@ SETUPS: dict[str, Setup] = {
         quick_episodes=5,
         quick_rows=("zero", "grasp-dls", "ppo-residual"),
         film_episodes=0,
-        look={"camera": "close"},
         study="agents.manipulation_report:lifting_study",
     ),
     GRASP_DUAL: Setup(
@@ -137,8 +135,21 @@ SETUPS: dict[str, Setup] = {
         quick_episodes=5,
         quick_rows=("zero", "dual-dls"),
         film_episodes=0,
-        look={"camera": "close"},
         study="agents.manipulation_report:lifting_study",
+    ),
+    DOCK_MANIPULATE: Setup(
+        learned=("ppo-residual",),
+        conditions={
+            "docked": {"docked": True, "localization": "dock"},
+            "hovering, vision": {"docked": False, "localization": "vision"},
+            "hovering, GPS": {"docked": False, "localization": "gps"},
+        },
+        filmed=("docked",),
+        quick_options={},
+        quick_episodes=5,
+        quick_rows=("zero", "dock-dls", "dock-dls-pid", "ppo-residual"),
+        film_episodes=0,
+        study="agents.manipulation_report:docked_study",
     ),
 }
 

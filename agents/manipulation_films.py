@@ -13,12 +13,12 @@ import numpy as np
 from agents import page
 from agents.bench_setup import Condition, Measured, setup_of
 from agents.play import draws_pictures, play
-from agents.policies import env_spec, registered_policies
+from agents.policies import registered_policies
 from agents.scoring import Scoring
 from agents.table import Row, scoring
 
 LARGEST = 1_900_000  # bytes of a film
-SECONDS = 20.0  # of an episode at most
+SECONDS, AFTER = 20.0, 2.5  # of an episode at most; after a success
 SHAPES = ((10.0, 400, 300), (8.0, 320, 240), (5.0, 320, 240), (5.0, 240, 180))  # frames a second, width, height
 
 
@@ -30,6 +30,7 @@ class Shot(NamedTuple):
     policy: str
     number: int  # of the episode
     said: str  # what became of it
+    seconds: float  # of it that are worth seeing
 
 
 def reference(rows: Sequence[Row], env_id: str) -> Row | None:
@@ -57,7 +58,7 @@ def choose(conditions: Mapping[str, Condition], env_id: str) -> list[Shot]:
     best, worst = (choice(episodes, key=lambda episode: episode[0]) for choice in (max, min))
     shots = [("Best", best), ("Worst", worst)] if best[0] != worst[0] else [("Like all others", best)]
     return [
-        Shot(title, name, rows[name].policy, k, outcome(rows[name], scoring([rows[name]]), k))
+        Shot(title, name, rows[name].policy, k, outcome(rows[name], scoring([rows[name]]), k), worth(rows[name], k))
         for title, (_, name, k) in shots
     ]
 
@@ -85,15 +86,19 @@ def outcome(row: Row, kind: Scoring, number: int) -> str:
     return f"{name} {shown:.{kind.primary.digits}f} {unit.rstrip(']')}"
 
 
-def film(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any]) -> bytes:
-    """One whole episode (at most `SECONDS`) as a GIF in real time, as fine as `LARGEST` lets it be.
+def worth(row: Row, number: int) -> float:
+    """Seconds of an episode that are worth seeing: until shortly after its success, where it says when that was."""
+    if "lift_time" in row.values and row.values["success"][number]:
+        return min(float(row.values["lift_time"][number]) + AFTER, SECONDS)
+    return SECONDS
+
+
+def film(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], seconds: float = SECONDS) -> bytes:
+    """An episode's first seconds, if it lasts as long, as a GIF in real time, as fine as `LARGEST` lets it be.
 
     Raises:
         ValueError, RuntimeError: it cannot be drawn here.
     """
-    spec = env_spec(env_id)
-    steps = env_kwargs.get("max_episode_steps", spec.max_episode_steps)
-    seconds = SECONDS if steps is None else min(steps / 50.0, SECONDS)
     data = b""
     for fps, width, height in SHAPES:
         look = {"width": width, "height": height}
@@ -118,7 +123,7 @@ def films_section(measured: Measured) -> list[str]:
         seed = measured.seed + shot.number
         where = f"{shot.condition}, " if shot.condition else ""
         try:
-            data = film(measured.env_id, shot.policy, seed, {**filmed[shot.condition].options, **setup.look})
+            data = film(measured.env_id, shot.policy, seed, filmed[shot.condition].options, shot.seconds)
         except (ValueError, RuntimeError) as error:
             if measured.progress:
                 print(f"no film: {error}", file=sys.stderr)

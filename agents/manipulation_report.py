@@ -32,6 +32,7 @@ CAUSE_COLORS = {
     "jammed": "#8a6fd1",
     "timed_out": "#8a8f96",
 }
+DOCKED = "docked"
 LIMITS = {"hovering, vision": 1.0, "hovering, GPS": 1.0 / 3.0}  # of the docked error over the hovering one, wanted
 RESAMPLES = 2000
 
@@ -218,14 +219,15 @@ def objects_section(measured: Measured, objects: Mapping[str, NDArray[np.str_]])
 
 
 def ratios(conditions: Mapping[str, Condition], name: str = "error") -> list[Ratio]:
-    """The first condition's mean of a value over that under each of the conditions of `LIMITS`, policy by policy.
+    """The docked mean of a value over that under each of the conditions of `LIMITS`, policy by policy.
 
     With a percentile bootstrap over the episodes, which share their seeds.
     """
-    first, docked = next(iter(conditions.items()))
+    if (docked := conditions.get(DOCKED)) is None:
+        return []
     found = []
     for other, wanted in LIMITS.items():
-        if other not in conditions or other == first:
+        if other not in conditions:
             continue
         by_policy = {row.policy: row for row in conditions[other].rows}
         for row in docked.rows:
@@ -236,7 +238,7 @@ def ratios(conditions: Mapping[str, Condition], name: str = "error") -> list[Rat
             spread = a[both][draws].mean(axis=1) / b[both][draws].mean(axis=1)
             interval = Interval(*np.quantile(spread, [0.025, 0.975]).tolist())
             value = float(a[both].mean() / b[both].mean())
-            found.append(Ratio(row.label, first, other, value, interval, wanted, int(both.sum())))
+            found.append(Ratio(row.label, DOCKED, other, value, interval, wanted, int(both.sum())))
     return found
 
 

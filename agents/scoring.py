@@ -158,6 +158,7 @@ REACHING = Scoring(
     columns=(
         Column("error", "error [mm]", 1e3, 1, True),
         Column("error_max", "largest [mm]", 1e3, 1, True),
+        Column("estimate_error", "believed elsewhere by [mm]", 1e3, 1, True),
         Column("hover", "hover moved [mm]", 1e3, 1, True),
         Column("crash", "crash [%]", 1e2, 1),
         Column("contacts", "contacts [steps]", digits=1),

@@ -94,14 +94,14 @@ def single_rows(seconds: float, repeats: int, peer: PeerProcess | None, why_not:
         Row(
             f"bare loop of {SUBSTEPS} × mj_step",
             "µs",
-            _tuple(step["bare"]),
+            as_tuple(step["bare"]),
             note=f"{bare.constraints} active constraint rows",
         ),
-        Row("Dock-v0, env.step", "µs", _tuple(step["env"])),
-        Row("Dock-v0 / bare loop, speed", "", _tuple(ratio), "≥ 0.80"),
-        Row("Dock-v0 / bare loop, speed by wall time", "", _tuple(ratio, WALL)),
-        Row("Dock-v0.unwrapped / bare loop, speed", "", _tuple(step["bare"] / step["unwrapped"])),
-        Row("Dock-v0, simulated / wall time", "×", _tuple(1e6 * env.unwrapped.dt / step["env"], WALL)),
+        Row("Dock-v0, env.step", "µs", as_tuple(step["env"])),
+        Row("Dock-v0 / bare loop, speed", "", as_tuple(ratio), "≥ 0.80"),
+        Row("Dock-v0 / bare loop, speed by wall time", "", as_tuple(ratio, WALL)),
+        Row("Dock-v0.unwrapped / bare loop, speed", "", as_tuple(step["bare"] / step["unwrapped"])),
+        Row("Dock-v0, simulated / wall time", "×", as_tuple(1e6 * env.unwrapped.dt / step["env"], WALL)),
     ]
     rows += peer_rows(Replay(env, flight), flight.chunk * env.unwrapped.dt, seconds, repeats, peer, why_not)
     rows.append(Row("Dock-v0, reset", "ms", tuple((1e3 * reset_times(env, max(20, 5 * repeats))).tolist())))
@@ -126,9 +126,9 @@ def peer_rows(
         for repeat in range(repeats):
             own[repeat] = simulated / in_turns({"ours": ours}, seconds, 1)["ours"][0]
             theirs[repeat] = peer.speed(name, seconds)
-        rows.append(Row(f"{name}, simulated / wall time", "×", _tuple(theirs, WALL)))
-        rows.append(Row(f"Dock-v0 / {name}, simulated time", "×", _tuple(own / theirs), target))
-        rows.append(Row(f"Dock-v0 / {name}, simulated time by wall time", "×", _tuple(own / theirs, WALL), target))
+        rows.append(Row(f"{name}, simulated / wall time", "×", as_tuple(theirs, WALL)))
+        rows.append(Row(f"Dock-v0 / {name}, simulated time", "×", as_tuple(own / theirs), target))
+        rows.append(Row(f"Dock-v0 / {name}, simulated time by wall time", "×", as_tuple(own / theirs, WALL), target))
     return rows
 
 
@@ -149,8 +149,8 @@ def batch_rows(seconds: float, repeats: int, num_envs: int = NUM_ENVS) -> list[R
         world = 1e6 * times["batch"] / (batch_flight.chunk * num_envs)
         ratio = 1e6 * times["single"] / flight.chunk / world
         name = f"batch of {num_envs}, {threads}"
-        rows.append(Row(f"{name}: a world's step", "µs", _tuple(world, clock)))
-        rows.append(Row(f"{name} / single env, speed", "", _tuple(ratio, clock), target))
+        rows.append(Row(f"{name}: a world's step", "µs", as_tuple(world, clock)))
+        rows.append(Row(f"{name} / single env, speed", "", as_tuple(ratio, clock), target))
     if load.cores is not None and load.cores > IDLE:
         rows[-1] = replace(rows[-1], note=f"other work took {load.cores:.1f} cores meanwhile: judge on an idle machine")
     return rows
@@ -242,7 +242,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join([texts[0], rule, *texts[1:], rule, *(f"{row.name}: {row.note}" for row in rows if row.note)])
 
 
-def _seconds(text: str) -> float:
+def positive_seconds(text: str) -> float:
     """An argument type: a finite positive number."""
     try:
         value = float(text)
@@ -253,7 +253,7 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _tuple(values: np.ndarray, clock: int = PROCESSOR) -> tuple[float, ...]:
+def as_tuple(values: np.ndarray, clock: int = PROCESSOR) -> tuple[float, ...]:
     """The repeats' values (repeats, 2) by one of the clocks."""
     return tuple(values[:, clock].tolist())
 
@@ -262,7 +262,7 @@ def main(argv: list[str]) -> int:
     """`aerograsp bench --speed`."""
     parser = Parser(prog="aerograsp bench --speed", description="What a step costs, as ratios measured in one run.")
     parser.add_argument("--peer-python", metavar="PATH", help="interpreter with PyFlyt, gym-pybullet-drones or both")
-    parser.add_argument("--seconds", metavar="S", type=_seconds, default=0.5, help="of a repeat's measurement")
+    parser.add_argument("--seconds", metavar="S", type=positive_seconds, default=0.5, help="of a repeat's measurement")
     parser.add_argument("--repeats", metavar="R", type=positive_int, default=7, help="of every measurement")
     add_json(parser)
     args = parser.parse_args(argv)

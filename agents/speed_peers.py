@@ -1,7 +1,8 @@
 """Other simulators' speed, measured by an interpreter of their own (PyFlyt pins numpy < 2) in turns with this one's.
 
-The script below runs there. It needs no package of this project: it says which environments it has, and then, for every
-line "NAME SECONDS" it reads, steps that environment for so long and answers with simulated, processor and wall seconds.
+A script below runs there. It needs no package of this project: it says which environments it has, and then, for every
+line "NAME SECONDS" it reads, steps that environment for so long and answers with what its clock counted (simulated
+seconds, or physics steps), processor and wall seconds.
 """
 
 import json
@@ -10,14 +11,16 @@ import tempfile
 from types import TracebackType
 from typing import Any, NamedTuple
 
-SCRIPT = r"""
+_HEAD = r"""
 import json, sys, time
 from importlib import metadata
 
 def answer(value):
     sys.stdout.write("\nANSWER " + json.dumps(value) + "\n")  # the simulators print banners of their own
     sys.stdout.flush()
+"""
 
+DRONES = r"""
 def pyflyt():
     import gymnasium, numpy, PyFlyt.gym_envs
     env = gymnasium.make("PyFlyt/QuadX-Hover-v4")
@@ -32,6 +35,23 @@ def hover_aviary():
     return env, action, lambda: env.step_counter * env.PYB_TIMESTEP
 
 MAKERS = {"PyFlyt QuadX-Hover-v4": pyflyt, "gym-pybullet-drones HoverAviary": hover_aviary}
+PACKAGES = ("PyFlyt", "gym-pybullet-drones", "pybullet", "numpy", "gymnasium")
+"""
+
+FETCH = r"""
+def fetch():
+    import gymnasium, gymnasium_robotics, numpy
+    gymnasium.register_envs(gymnasium_robotics)
+    env = gymnasium.make("FetchPickAndPlace-v4")
+    action = numpy.array([0.0, 0.0, -0.1, 1.0], numpy.float32)  # slowly down over the table, jaws opening
+    model = env.unwrapped.model
+    return env, action, lambda: env.unwrapped.data.time / model.opt.timestep  # physics steps
+
+MAKERS = {"FetchPickAndPlace-v4": fetch}
+PACKAGES = ("gymnasium-robotics", "mujoco", "numpy", "gymnasium")
+"""
+
+_LOOP = r"""
 found, missing = {}, {}
 for name, make in MAKERS.items():
     try:
@@ -42,7 +62,7 @@ for name, make in MAKERS.items():
     except Exception as error:
         missing[name] = type(error).__name__ + ": " + " ".join(str(error).split())
 versions = {"python": sys.version.split()[0]}
-for package in ("PyFlyt", "gym-pybullet-drones", "pybullet", "numpy", "gymnasium"):
+for package in PACKAGES:
     try:
         versions[package] = metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -68,6 +88,8 @@ for line in sys.stdin:
             env.reset()  # not timed
     answer([simulated, busy, wall])
 """
+SCRIPT = _HEAD + DRONES + _LOOP
+FETCH_SCRIPT = _HEAD + FETCH + _LOOP
 
 
 class Peers(NamedTuple):
@@ -79,16 +101,16 @@ class Peers(NamedTuple):
 
 
 class PeerProcess:
-    """The peers' interpreter, running `SCRIPT`; a context manager that ends it.
+    """The peers' interpreter, running one of the scripts above; a context manager that ends it.
 
     Raises:
         OSError: the interpreter cannot be run, or ends without an answer.
     """
 
-    def __init__(self, python: str) -> None:
+    def __init__(self, python: str, script: str | None = None) -> None:
         self._errors = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115 (closed with the process)
         self._process = subprocess.Popen(
-            [python, "-u", "-c", SCRIPT],
+            [python, "-u", "-c", SCRIPT if script is None else script],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,
@@ -102,7 +124,10 @@ class PeerProcess:
             raise
 
     def speed(self, name: str, seconds: float) -> tuple[float, float]:
-        """Simulated seconds per processor and per wall second of the peer's `step`, its resets left out."""
+        """What the peer's clock counts (simulated seconds; Fetch: physics steps) per processor and per wall second.
+
+        Of its `step` alone, resets left out.
+        """
         assert self._process.stdin is not None
         self._process.stdin.write(f"{name} {seconds}\n")
         self._process.stdin.flush()

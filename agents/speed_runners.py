@@ -36,25 +36,25 @@ class Flight(NamedTuple):
     chunk: int  # steps that are timed together
 
 
-def make_single() -> Any:
+def make_single(env_id: str = DOCK) -> Any:
     """The single environment as users make it."""
-    return gymnasium.make(DOCK, max_episode_steps=LONG)
+    return gymnasium.make(env_id, max_episode_steps=LONG)
 
 
-def make_batch(num_envs: int, threads: int | None) -> Any:
+def make_batch(num_envs: int, threads: int | None, env_id: str = DOCK) -> Any:
     """The native batched environment."""
     options: Mapping[str, Any] = {"vectorization_mode": "vector_entry_point", "threads": threads}
-    return gymnasium.make_vec(DOCK, num_envs=num_envs, max_episode_steps=LONG, **options)
+    return gymnasium.make_vec(env_id, num_envs=num_envs, max_episode_steps=LONG, **options)
 
 
-def record(env: Any, steps: int, chunk: int = 25, seed: int = 0) -> Flight:
-    """Fly and record.
+def record(env: Any, steps: int, chunk: int = 25, seed: int = 0, env_id: str = DOCK) -> Flight:
+    """Fly with the id's reference policy and record.
 
     Raises:
         RuntimeError: an episode ended meanwhile, or the vehicle was not docked.
     """
     batched = hasattr(env, "num_envs")
-    policy, state = aerograsp_env.reference_policy(DOCK), None
+    policy, state = aerograsp_env.reference_policy(env_id), None
     observation, _ = env.reset(seed=seed)
     actions, states = [], []
     for k in range(steps):
