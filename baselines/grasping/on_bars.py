@@ -26,6 +26,7 @@ def grasps_on_bars(
     places: int = 9,
     approaches: int = 16,
     room: float = 0.004,
+    depth: float = 0.004,
 ) -> ModelGrasps:
     """Grasps across round bars, in the object's frame; see `grasps_on_model`.
 
@@ -38,6 +39,7 @@ def grasps_on_bars(
         places: along each bar.
         approaches: about each bar.
         room: around fingers and palm on the approach [m].
+        depth: of the pads' middle beyond the bar's [m]: a bar that lies too deep is still between the fingers.
 
     Raises:
         ValueError: a bar without length, one that the jaws do not go around, or points that are no (N, 3) numbers.
@@ -59,6 +61,7 @@ def grasps_on_bars(
     width = np.repeat(np.concatenate(widths), approaches)
     # y of the gripper lies along the bar, and the fingers close across it
     frames = np.stack([np.cross(along, approach), along, approach], axis=2)
+    middle = middle + depth * approach
     plane = None if support is None else (finite("support", support[0], (3,)), finite("support", support[1], (3,)))
     opening, reason = openings(gripper, p, middle, frames, width, plane, room)
     reasons: Counter[str] = Counter()

@@ -93,6 +93,8 @@ class Pilot(NamedTuple):
     height: float  # by which the base was told to lift [m]
     settled: int  # steps in a row for which the phase's aim has been met
     failed: tuple[Array, ...]
+    misses: int  # how often the jaws closed on nothing
+    deeper: float  # than planned that the tools go, along their approach axes [m]
 
     @property
     def grasps(self) -> tuple[Reached, ...]:
@@ -127,6 +129,8 @@ class PilotSettings:
     stale: float = 0.3  # age of the estimate from which the arms hold
     lost: float = 1.0  # and from which they back off
     retreat: float = 0.10
+    deeper: float = 0.007  # after each miss
+    tip_room: float = 0.012  # of the tool's origin over the support
 
 
 LIMITS = {  # longest times [s]
@@ -203,7 +207,7 @@ class Flight:
         track = start_track(r.T_body_object, r.support[1:], r.rpy, r.velocity)
         n = len(self.arms)
         seat = track.points[1] - track.at
-        return Pilot(track, Phase.LOOK, 0, None, seat, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, ())
+        return Pilot(track, Phase.LOOK, 0, None, seat, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, (), 0, 0.0)
 
     def _follow(self, r: Reading, p: Pilot) -> Pilot:
         track = update_track(p.track, r.T_body_object, r.support[1:], r.age, r.rpy, r.velocity, self.track_settings)
@@ -243,7 +247,7 @@ class Flight:
             return self._give_up(p) if p.settled >= 10 else p
         if p.phase == Phase.RELEASE:
             return self._go(p, Phase.RETREAT) if time > 0.5 else p
-        return self._go(p, Phase.LOOK, manoeuvre=None) if time > 1.0 else p  # RETREAT
+        return self._go(p, Phase.LOOK, manoeuvre=None) if time > 0.8 else p  # RETREAT
 
     def _plan(self, r: Reading, p: Pilot) -> Pilot:
         T = p.track.pose
@@ -258,7 +262,18 @@ class Flight:
         if manoeuvre is None:
             return p._replace(since=0, failed=())
         wanted = seat + manoeuvre.T_level_object[:3, 3] - T[:3, 3]
-        return self._go(p, Phase.TRANSIT, manoeuvre=manoeuvre, seat=wanted, travel=self.settings.back, height=0.0)
+        deeper = min(self._depth(p, scene, grasp) for grasp in manoeuvre.hands)
+        return self._go(
+            p, Phase.TRANSIT, manoeuvre=manoeuvre, seat=wanted, travel=self.settings.back, height=0.0, deeper=deeper
+        )
+
+    def _depth(self, p: Pilot, scene: Scene, grasp: Reached) -> float:
+        """How much deeper to go after misses [m]: fingers are long and pads small. The support bounds it."""
+        s = self.settings
+        T = scene.T_level_object @ grasp.T_object_grasp
+        height = float((T[:3, 3] - scene.support) @ scene.up)
+        slope = max(0.2, -float(T[:3, 2] @ scene.up))
+        return max(0.0, min(s.deeper * p.misses, 2.0 * s.deeper, (height - s.tip_room) / slope))
 
     def _approach(self, r: Reading, p: Pilot, late: bool) -> Pilot:
         s = self.settings
@@ -277,13 +292,12 @@ class Flight:
         s = self.settings
         grips = [hand.load > s.stalled for hand in r.hands]
         p = p._replace(settled=p.settled + 1 if all(grips) else 0)
+        full = [hand.opening > s.held * grasp.width for hand, grasp in zip(r.hands, p.grasps, strict=True)]
+        if not all(full):
+            return self._give_up(p._replace(misses=p.misses + 1))
         if p.settled < 5 and not late:
             return p
-        holds = [
-            hand.load > 0.3 * s.stalled and hand.opening > s.held * grasp.width
-            for hand, grasp in zip(r.hands, p.grasps, strict=True)
-        ]
-        return self._go(p, Phase.LIFT) if all(holds) else self._give_up(p)
+        return self._go(p, Phase.LIFT) if all(hand.load > 0.3 * s.stalled for hand in r.hands) else self._give_up(p)
 
     def _give_up(self, p: Pilot) -> Pilot:
         return self._go(p, Phase.RELEASE, failed=(*p.failed, p.grasps[0].T_object_grasp))
@@ -302,7 +316,7 @@ class Flight:
             T[:3, 3] = p.track.point(1) + p.track.attitude.T @ p.anchors[k, :3, 3]
             return T
         T = p.track.pose @ p.grasps[k].T_object_grasp
-        T[:3, 3] -= p.travel * T[:3, 2]
+        T[:3, 3] -= (p.travel - p.deeper) * T[:3, 2]
         return np.asarray(T)
 
     def _anchors(self, p: Pilot) -> Array:
