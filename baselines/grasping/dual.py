@@ -21,16 +21,12 @@ from baselines.grasping.reaching import (
     HALF_TURN,
     Reached,
     ReachSettings,
-    Scene,
     distinct,
-    frame_clear,
-    frame_points,
     model_grasps,
-    moved_scene,
     robust,
-    surroundings,
     tool_grid,
 )
+from baselines.grasping.scenes import Scene, frame_clear, frame_points, moved_scene, surroundings
 from baselines.kinematics.arm import Arm
 from baselines.kinematics.collision import CollisionModel
 from baselines.kinematics.regions import Region, region
@@ -168,7 +164,7 @@ class DualPlanner:
             right, smooth = regions[i, turn]
             objects = self.grid.positions - T[:3, :3] @ grasps.T[i, :3, 3]
             can = np.flatnonzero(right.score > 0.0)
-            can = can[frame_clear(self.frame, scene, objects[can], s)]
+            can = can[frame_clear(self.frame, scene, objects[can], s.frame_height, s.frame_range)]
             if not len(can):
                 continue
             for other in (0, 1):

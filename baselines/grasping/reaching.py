@@ -9,20 +9,17 @@ of the arm). Frames: "level" is the body's origin and heading, z up.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from aerograsp_env.sim.arms.description import Shape
 from aerograsp_env.sim.arms.vehicles import ArmMount, VehicleConfig
-from aerograsp_env.sim.kernel_math import compiled
 from aerograsp_env.spatial import check_transform, inverse, transform_points
 from baselines.grasping.candidates import note
 from baselines.grasping.contacts import Array
 from baselines.grasping.on_model import ModelGrasps, grasps_on_model
+from baselines.grasping.scenes import Scene, frame_clear, frame_points, moved_scene, surroundings
 from baselines.kinematics.arm import Arm
 from baselines.kinematics.collision import CollisionModel
 from baselines.kinematics.regions import Region, region
@@ -79,16 +76,6 @@ class ReachSettings:
                 raise ValueError(f"{name}: expected a positive number, got {value}")
 
 
-class Scene(NamedTuple):
-    """What stands around a grasp, in the level frame."""
-
-    T_level_object: Array  # (4, 4)
-    points: Array  # (N, 3) of the object's surface, object frame [m]
-    normals: Array  # (N, 3) unit, outward
-    support: Array  # (3,) the middle of the seat [m]
-    up: Array  # (3,) the seat's unit normal
-
-
 class Grid(NamedTuple):
     """Tool positions of an arm that are tried, level frame."""
 
@@ -106,22 +93,6 @@ def tool_grid(mount: ArmMount, step: float) -> Grid:
     )
     mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     return Grid(mesh.reshape(-1, 3), (mesh.shape[0], mesh.shape[1], mesh.shape[2]))
-
-
-def frame_points(vehicle: VehicleConfig) -> Array:
-    """(K, 3) points on the undersides of the airframe and of what is fixed to it, body frame [m]."""
-    points = []
-    corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    ring = np.linspace(0.0, 2.0 * np.pi, 9)[:-1]
-    rim = np.stack([np.cos(ring), np.sin(ring), np.zeros(8)], axis=1)
-    for shape in vehicle.shapes:
-        if shape.kind == "box":
-            local = corners * shape.size
-        else:
-            radius, half = shape.size
-            local = np.concatenate([radius * rim + (0.0, 0.0, end) for end in (-half, half)])
-        points.append(transform_points(shape.T_link_shape, local))
-    return np.concatenate(points)
 
 
 class GraspPlanner:
@@ -185,7 +156,7 @@ class GraspPlanner:
                 value = s.posture * (robust(at, self.grid.shape) - 1.0)
                 value = value - s.motion * np.linalg.norm(objects - T[:3, 3], axis=1)
                 can = np.flatnonzero(at.score > 0.0)
-                can = can[frame_clear(self.frame, scene, objects[can], s)]
+                can = can[frame_clear(self.frame, scene, objects[can], s.frame_height, s.frame_range)]
                 if not len(can):
                     continue
                 p = int(can[value[can].argmax()])
@@ -250,89 +221,3 @@ def robust(at: Region, shape: tuple[int, int, int]) -> Array:
     beside = [wide[2:, 1:-1, 1:-1], wide[:-2, 1:-1, 1:-1], wide[1:-1, 2:, 1:-1], wide[1:-1, :-2, 1:-1]]
     beside += [wide[1:-1, 1:-1, 2:], wide[1:-1, 1:-1, :-2]]
     return np.asarray(0.5 * score + np.mean(beside, axis=0) * 0.5).reshape(-1)
-
-
-def frame_clear(frame: Array, scene: Scene, objects: Array, settings: ReachSettings) -> NDArray[np.bool_]:
-    """Whether the airframe is clear of the support and of the object, with the object's origin at (P, 3)."""
-    offset = scene.support - scene.T_level_object[:3, 3]
-    middle = scene.points.mean(axis=0)
-    radius = float(np.linalg.norm(scene.points - middle, axis=1).max()) + 0.5 * settings.frame_height
-    clear = np.empty(len(objects), dtype=np.bool_)
-    _frame_clear_kernel(
-        frame, np.ascontiguousarray(objects), offset, scene.up, settings.frame_height, settings.frame_range,
-        scene.T_level_object[:3, :3] @ middle, radius, clear,
-    )  # fmt: skip
-    return clear
-
-
-@compiled
-def _frame_clear_kernel(frame, objects, offset, up, least, farthest, middle, radius, clear):
-    for g in range(objects.shape[0]):
-        clear[g] = True
-        for k in range(frame.shape[0]):
-            height = squared = distance = 0.0
-            for i in range(3):
-                apart = frame[k, i] - objects[g, i] - offset[i]
-                height += apart * up[i]
-                squared += apart * apart
-                distance += (frame[k, i] - objects[g, i] - middle[i]) ** 2
-            over = height > least or squared - height * height > farthest * farthest
-            if not over or distance <= radius * radius:
-                clear[g] = False
-                break
-
-
-def surroundings(vehicle: VehicleConfig, scene: Scene, half: float = 0.25) -> CollisionModel:
-    """The vehicle with the object's hull and a slab for the support as obstacles."""
-    slab = Shape.box("slab", (0.0, 0.0, -0.02), (half, half, 0.02))
-    return CollisionModel(vehicle, {"object": [scene.points], "support": [slab]})
-
-
-def moved_scene(scene: Scene, T_level_object: Array) -> dict[str, Array]:
-    """Poses of the obstacles of `surroundings` once the base has put the object there."""
-    T_seat = np.eye(4)
-    other = np.eye(3)[np.argmin(np.abs(scene.up))]
-    x = np.cross(other, scene.up)
-    x /= np.linalg.norm(x)
-    T_seat[:3, :3] = np.stack([x, np.cross(scene.up, x), scene.up], axis=1)
-    T_seat[:3, 3] = scene.support + T_level_object[:3, 3] - scene.T_level_object[:3, 3]
-    return {"object": T_level_object, "support": T_seat}
-
-
-class Choice(NamedTuple):
-    """Which stored grasp to go on with."""
-
-    chosen: int  # −1: none can be done
-    scores: Array  # (G,) as things are now, 0 where it cannot be done
-
-
-def rerank(
-    arm: Arm, grasps: Sequence[Reached], T_body_object: ArrayLike, current: int, back: float, hysteresis: float = 0.3
-) -> Choice:
-    """The stored grasp that suits best with the object where it is now and the base where it is.
-
-    Cheap: the closed form at the grasp and the pre-grasp. The current one is kept until it is out of reach, or another
-    one's posture is better by `hysteresis`.
-
-    Args:
-        arm: poses in the body frame.
-        grasps: of one plan.
-        T_body_object: (4, 4) the object's pose now.
-        current: index of the one that is being done, or −1.
-        back: from the pre-grasp to the grasp [m].
-        hysteresis: by how much a posture, in [0, 1], must be better.
-
-    Raises:
-        ValueError: a pose that is not rigid.
-    """
-    T = check_transform(T_body_object, "T_body_object")
-    scores = np.zeros(len(grasps))
-    for g, grasp in enumerate(grasps):
-        T_tool = T @ grasp.T_object_grasp
-        scores[g] = region(arm, T_tool[:3, :3], T_tool[:3, 3], back).score[0]
-    if not len(grasps) or scores.max() <= 0.0:
-        return Choice(-1, scores)
-    best = int(scores.argmax())
-    if 0 <= current < len(grasps) and scores[current] > 0.0 and scores[best] < scores[current] + hysteresis:
-        best = current
-    return Choice(best, scores)

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.sim.arms.vehicles import BELEROFONTE_ARMS, VehicleConfig
-from baselines.grasping.reaching import GraspPlanner, Scene
+from baselines.grasping.reaching import GraspPlanner
+from baselines.grasping.scenes import Scene
 from baselines.kinematics.servo import ServoSettings, TrackSettings
-from baselines.policies.grasp_pilot import Flight, Manoeuvre, Pilot, PilotSettings, read
+from baselines.policies.grasp_pilot import Flight
+from baselines.policies.grasp_reading import read
+from baselines.policies.grasp_state import Manoeuvre, Pilot, PilotSettings
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
@@ -65,8 +68,8 @@ class SinglePlanner:
         if not grasps:
             return None
         scores = [grasp.score - FAILED_COST * sum(alike(grasp.T_object_grasp, T) for T in failed) for grasp in grasps]
-        best = grasps[int(np.argmax(scores))]
-        return Manoeuvre((best,), best.T_level_object)
+        index = int(np.argmax(scores))
+        return Manoeuvre((grasps[index],), grasps[index].T_level_object, grasps, index)
 
 
 def alike(T: Array, other: Array) -> bool:

@@ -11,10 +11,11 @@ from aerograsp_env.sim.objects.surface_points import surface_points
 from aerograsp_env.spatial import inverse, transform_points
 from baselines.grasping.dual import DualPlanner
 from baselines.grasping.on_bars import grasps_on_bars
-from baselines.grasping.reaching import Scene
+from baselines.grasping.scenes import Scene
 from baselines.kinematics.servo import ServoSettings, TrackSettings
 from baselines.policies.grasp import FAILED_COST, FRICTION, GraspPolicy, alike
-from baselines.policies.grasp_pilot import Flight, Manoeuvre, PilotSettings
+from baselines.policies.grasp_pilot import Flight
+from baselines.policies.grasp_state import Manoeuvre, PilotSettings
 
 Array = NDArray[np.float64]
 

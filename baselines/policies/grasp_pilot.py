@@ -8,19 +8,18 @@ then. Only observations are read; one row of a batch at a time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from enum import IntEnum
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.grasping.reaching import Reached, Scene
+from baselines.grasping.reaching import Reached
+from baselines.grasping.reranking import rerank
+from baselines.grasping.scenes import Scene
 from baselines.kinematics.arm import Arm
 from baselines.kinematics.servo import (
     ServoSettings,
-    Track,
     TrackSettings,
     attitude_matrix,
     joint_rates,
@@ -29,143 +28,14 @@ from baselines.kinematics.servo import (
     target_twist,
     update_track,
 )
+from baselines.policies.grasp_reading import Hand, Reading
+from baselines.policies.grasp_state import LIMITS, Manoeuvre, Phase, Pilot, PilotSettings
 
 Array = NDArray[np.float64]
 
 
-class Phase(IntEnum):
-    """What is being done."""
-
-    LOOK = 0  # the track settles
-    TRANSIT = 1  # base and arms to where the approach begins
-    ALIGN = 2  # tools at the pre-grasps
-    APPROACH = 3
-    CLOSE = 4
-    LIFT = 5
-    RELEASE = 6  # jaws open
-    RETREAT = 7  # tools back off
-
-
-class Hand(NamedTuple):
-    """What one arm's part of an observation says."""
-
-    q: Array  # (n,) encoder angles [rad]
-    lag: Array  # (n,) set-points less encoder angles [rad]
-    opening: float  # [m]
-    load: float  # of the jaws' motor, as a share of its stall force
-    tool: Array  # (4, 4) T_body_tool
-
-
-class Reading(NamedTuple):
-    """One row of an observation."""
-
-    velocity: Array  # (3,) body frame [m/s]
-    rpy: Array  # (3,) [rad]
-    gyro: Array  # (3,) [rad/s]
-    hands: tuple[Hand, ...]
-    T_body_object: Array  # (4, 4) by the newest image
-    age: float  # of that image [s]
-    support: Array  # (2, 3) outward normal; a point on it [m], body frame
-    cloud: Array  # (N, 6) points and outward normals, object frame
-
-
-class Manoeuvre(NamedTuple):
-    """A grasp for every arm, and where the base puts the object."""
-
-    hands: tuple[Reached, ...]
-    T_level_object: Array  # (4, 4)
-
-
 Planner = Callable[[Scene, tuple[Array, ...]], Manoeuvre | None]
 """From a scene and the grasps T_object_grasp (4, 4) of the first arm that failed before."""
-
-
-class Pilot(NamedTuple):
-    """What is remembered of one episode."""
-
-    track: Track
-    phase: Phase
-    since: int  # steps in this phase
-    manoeuvre: Manoeuvre | None
-    seat: Array  # (3,) where the base should have the seat, from the body's origin, level axes [m]
-    travel: float  # of the tools still to go along their approach axes [m]
-    anchors: Array  # (arms, 4, 4) tool poses where the jaws close; positions from the seat, level axes
-    height: float  # by which the base was told to lift [m]
-    settled: int  # steps in a row for which the phase's aim has been met
-    failed: tuple[Array, ...]
-    misses: int  # how often the jaws closed on nothing
-    deeper: float  # than planned that the tools go, along their approach axes [m]
-
-    @property
-    def grasps(self) -> tuple[Reached, ...]:
-        """Of the manoeuvre, one for every arm; none while there is no manoeuvre."""
-        return self.manoeuvre.hands if self.manoeuvre is not None else ()
-
-
-@dataclass(frozen=True)
-class PilotSettings:
-    """Timing and thresholds; lengths in metres, times in seconds."""
-
-    step: float = 0.02
-    velocity_limit: float = 0.5  # of a full action [m/s]
-    joint_rate: float = 2.0  # [rad/s]
-    jaw_speed: float = 0.03  # of each finger [m/s]
-    look: float = 0.3
-    back: float = 0.09  # of the pre-grasp, as planned
-    above: float = 0.10  # that the base stays higher until the arms are ready
-    base_gain: float = 1.3  # [1/s]
-    base_speed: float = 0.30
-    posture_rate: float = 1.2  # of joints in transit [rad/s]
-    near: float = 0.05  # of the base to its place, where the approach may begin
-    aligned: float = 0.012  # of the tools
-    aligned_turn: float = 0.12  # [rad]
-    approach_speed: float = 0.08
-    reached: float = 0.006  # of the tools at the grasp
-    room: float = 0.05  # that the jaws are opened wider than the object
-    stalled: float = 0.85  # load from which the jaws hold something
-    lift_speed: float = 0.15
-    lift: float = 0.28
-    held: float = 0.35  # of the object's width: jaws that are less open hold nothing
-    stale: float = 0.3  # age of the estimate from which the arms hold
-    lost: float = 1.0  # and from which they back off
-    retreat: float = 0.10
-    deeper: float = 0.007  # after each miss
-    tip_room: float = 0.012  # of the tool's origin over the support
-
-
-LIMITS = {  # longest times [s]
-    Phase.TRANSIT: 6.0,
-    Phase.ALIGN: 2.5,
-    Phase.APPROACH: 4.0,
-    Phase.CLOSE: 2.6,
-}
-
-
-def rigid(nine: Array) -> Array:
-    """(4, 4) of a position and the first two columns of a rotation (9,), made orthonormal."""
-    T = np.eye(4)
-    T[:3, 3] = nine[:3]
-    x = nine[3:6] / np.linalg.norm(nine[3:6])
-    z = np.cross(x, nine[6:9])
-    z /= np.linalg.norm(z)
-    T[:3, 0], T[:3, 1], T[:3, 2] = x, np.cross(z, x), z
-    return T
-
-
-def read(observation: Mapping[str, NDArray[Any]], row: int, joints: tuple[int, ...]) -> Reading:
-    """A row of a batched observation; `joints` are the arms' numbers of joints."""
-    flat = {name: np.asarray(value[row], dtype=np.float64) for name, value in observation.items()}
-    hands, first = [], 0
-    for k, n in enumerate(joints):
-        part = slice(first, first + n)
-        gripper, tool = flat["gripper"][2 * k : 2 * k + 2], flat["tool"][9 * k : 9 * k + 9]
-        q, lag = flat["joints"][part], flat["command_lag"][part]
-        hands.append(Hand(q, lag, float(gripper[0]), float(gripper[1]), rigid(tool)))
-        first += n
-    return Reading(
-        flat["velocity"], flat["attitude"], flat["angular_velocity"], tuple(hands), rigid(flat["object"]),
-        float(flat["object_age"][0]), flat["support"].reshape(2, 3), flat["object_cloud"].reshape(-1, 6),
-    )  # fmt: skip
 
 
 class Flight:
@@ -234,7 +104,7 @@ class Flight:
             p = p._replace(settled=p.settled + 1 if good else 0)
             if p.settled >= 3:
                 return self._go(p, Phase.APPROACH)
-            return self._give_up(p) if late else p
+            return self._give_up(p) if late else self._reconsider(p)
         if p.phase == Phase.APPROACH:
             return self._approach(r, p, late)
         if p.phase == Phase.CLOSE:
@@ -274,6 +144,19 @@ class Flight:
         height = float((T[:3, 3] - scene.support) @ scene.up)
         slope = max(0.2, -float(T[:3, 2] @ scene.up))
         return max(0.0, min(s.deeper * p.misses, 2.0 * s.deeper, (height - s.tip_room) / slope))
+
+    def _reconsider(self, p: Pilot) -> Pilot:
+        """Another grasp of the plan, where the one that is being done has left the arm's workspace."""
+        s, m = self.settings, p.manoeuvre
+        if m is None or len(m.plan) < 2 or p.settled or p.since % round(s.reconsider / s.step):
+            return p
+        choice = rerank(self.arms[0], m.plan, p.track.pose, m.index, s.back)
+        if choice.chosen < 0 or choice.scores[m.index] > 0.0:
+            return p
+        grasp = m.plan[choice.chosen]
+        seat = p.seat + grasp.T_level_object[:3, 3] - m.T_level_object[:3, 3]
+        changed = Manoeuvre((grasp,), grasp.T_level_object, m.plan, choice.chosen)
+        return self._go(p, Phase.TRANSIT, manoeuvre=changed, seat=seat, travel=s.back)
 
     def _approach(self, r: Reading, p: Pilot, late: bool) -> Pilot:
         s = self.settings
