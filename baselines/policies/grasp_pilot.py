@@ -150,8 +150,8 @@ class Flight:
         s, m = self.settings, p.manoeuvre
         if m is None or len(m.plan) < 2 or p.settled or p.since % round(s.reconsider / s.step):
             return p
-        choice = rerank(self.arms[0], m.plan, p.track.pose, m.index, s.back)
-        if choice.chosen < 0 or choice.scores[m.index] > 0.0:
+        choice = rerank(self.arms[0], m.plan, p.track.pose, m.chosen, s.back)
+        if choice.chosen < 0 or choice.scores[m.chosen] > 0.0:
             return p
         grasp = m.plan[choice.chosen]
         seat = p.seat + grasp.T_level_object[:3, 3] - m.T_level_object[:3, 3]

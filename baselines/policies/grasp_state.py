@@ -34,7 +34,7 @@ class Manoeuvre(NamedTuple):
     hands: tuple[Reached, ...]
     T_level_object: Array  # (4, 4)
     plan: tuple[Reached, ...] = ()  # of one arm: what else the plan found
-    index: int = 0  # of the grasp in it
+    chosen: int = 0  # of the grasp in it
 
 
 class Pilot(NamedTuple):
@@ -85,7 +85,7 @@ class PilotSettings:
     stale: float = 0.3  # age of the estimate from which the arms hold
     lost: float = 1.0  # and from which they back off
     retreat: float = 0.10
-    reconsider: float = 0.2  # between two looks at the plan's other grasps
+    reconsider: float = 1.0  # of servoing in vain, between two looks at the plan's other grasps
     deeper: float = 0.007  # after each miss
     tip_room: float = 0.012  # of the tool's origin over the support
 
