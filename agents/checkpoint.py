@@ -50,8 +50,9 @@ class NetworkLayout:
 
     The input is the concatenation of the observation's `keys` in this order, normalised as
     clip((x − mean) / √(var + epsilon), ±clip); then dense layers `hidden` with `activation`; a linear one to `actions`.
-    A residual policy's last key is "base_action". A squashed actor's mean action is the tanh of that output, and its
-    deviation, before the tanh, depends on the state: a linear layer on the last hidden one gives its logarithm.
+    Keys may be derived ones (`agents.derived_inputs`). A residual policy's last key is "base_action". A squashed
+    actor's mean action is the tanh of that output, and its deviation, before the tanh, depends on the state: a linear
+    layer on the last hidden one gives its logarithm.
     """
 
     keys: tuple[str, ...]

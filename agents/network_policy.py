@@ -17,16 +17,17 @@ from numpy.typing import DTypeLike, NDArray
 
 from aerograsp_env.wrappers import BASE_ACTION
 from agents.checkpoint import NetworkLayout, load_checkpoint
+from agents.derived_inputs import DERIVED, GOALS, derive
 from agents.policies import UnknownName, load_policy, registered_policies
 
 LOG_STD_BOUNDS = (-20.0, 2.0)  # of a squashed actor, Stable-Baselines3's
 
 
 class NetworkPolicy:
-    """A perceptron over selected observation keys, with the signature of every policy here.
+    """A perceptron over keys of the observation, or derived ones, with the signature of every policy here.
 
     Args:
-        layout: what the network reads and how it is wired.
+        layout: what the network reads and how it is wired; see `agents.derived_inputs` for derived keys.
         tensors: the arrays `layout.shapes()` lists (others are ignored).
         base: the analytic policy a residual one corrects; required exactly when the layout's last key is "base_action".
         scale: what the network's output is multiplied by before it is added to the base action.
@@ -117,6 +118,8 @@ class NetworkPolicy:
         return np.exp(np.clip(features @ weight.T + bias, *LOG_STD_BOUNDS))
 
     def _part(self, observation: Mapping[str, NDArray], key: str, size: int) -> NDArray:
+        if key in DERIVED:
+            return derive(key, *(self._part(observation, goal, size) for goal in GOALS))
         if key not in observation:
             raise ValueError(f"observation: expected the key {key!r}, got {', '.join(map(str, observation))}")
         value = self._cast(observation[key])

@@ -12,6 +12,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.checkpoint import NetworkLayout
+from agents.derived_inputs import with_derived
 from agents.learner_state import (
     check_training,
     generator_tensors,
@@ -21,6 +22,15 @@ from agents.learner_state import (
 )
 from agents.sac_config import SacConfig
 from agents.sb3_env import SB3VecEnv, actor_layout, has_goals
+
+
+class HindsightBuffer(HerReplayBuffer):
+    """A memory whose derived observations are those of the goals that it makes up."""
+
+    @staticmethod
+    def _normalize_obs(obs: Any, env: VecNormalize | None = None) -> Any:
+        """Normalise samples, at once after their goals were replaced."""
+        return HerReplayBuffer._normalize_obs(dict(with_derived(obs, obs)), env)
 
 
 class Learner(SAC):
@@ -34,7 +44,7 @@ class Learner(SAC):
         replay: Any = self.replay_buffer
         if replay.size() * replay.n_envs < min(self.learning_starts, replay.buffer_size * replay.n_envs):
             return
-        if isinstance(replay, HerReplayBuffer) and not replay.ep_length.any():
+        if isinstance(replay, HindsightBuffer) and not replay.ep_length.any():
             return
         super().train(gradient_steps, batch_size)
 
@@ -70,7 +80,7 @@ def build(config: SacConfig, env: SB3VecEnv) -> tuple[Learner, VecNormalize]:
         gamma=config.gamma,
         train_freq=1,
         gradient_steps=config.gradient_steps,
-        replay_buffer_class=HerReplayBuffer if relabels else DictReplayBuffer,
+        replay_buffer_class=HindsightBuffer if relabels else DictReplayBuffer,
         replay_buffer_kwargs=goals if relabels else None,
         ent_coef=f"auto_{config.entropy!r}",
         target_entropy="auto" if config.target_entropy is None else config.target_entropy,

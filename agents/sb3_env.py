@@ -22,12 +22,12 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 from aerograsp_env.wrappers import BASE_ACTION, ResidualActionVector
 from agents.arguments import one_line
 from agents.checkpoint import NetworkLayout
+from agents.derived_inputs import GOALS, derived_boxes, with_derived
 from agents.network_policy import analytic_policy
 from agents.policies import env_spec
 from agents.train_config import UNREAD, RunConfig
 
 Observation = dict[str, NDArray]
-GOALS = ("achieved_goal", "desired_goal")
 
 
 class SB3VecEnv(VecEnv):
@@ -39,7 +39,8 @@ class SB3VecEnv(VecEnv):
         venv: the batched environment; its autoreset mode is SAME_STEP, or one whose `reset` takes
             `options={"reset_mask": (N,) bool}` (Gymnasium's convention), which is then used to reset within the step.
         keys: observation keys to concatenate, in this order, into one flat float32 vector; None keeps the Dict, with
-            all keys. A residual's "base_action" is always read, and always last.
+            its own keys. Those of `agents.derived_inputs` can be named too. A residual's "base_action" is always read,
+            and always last.
         flatten: False keeps a Dict of `keys`, in their order.
 
     Raises:
@@ -53,13 +54,14 @@ class SB3VecEnv(VecEnv):
         if not isinstance(action, spaces.Box) or not (np.all(action.low == -1) and np.all(action.high == 1)):
             raise ValueError(f"venv: expected an action space Box(-1, 1), got {action}")
         self.venv = venv
-        self.keys = _checked_keys(single.spaces if keys is None else keys, single)
-        self.sizes = {key: int(np.prod(single[key].shape or ())) for key in self.keys}
+        boxes = {**single.spaces, **derived_boxes(single.spaces)}
+        self.keys = _checked_keys(single.spaces if keys is None else keys, boxes)
+        self.sizes = {key: int(np.prod(boxes[key].shape or ())) for key in self.keys}
         self._flat = keys is not None and flatten
         # A sequence keeps its order, in which Stable-Baselines3 concatenates the parts; a mapping would be sorted.
-        observation_space: spaces.Space = spaces.Dict([(key, single[key]) for key in self.keys])
+        observation_space: spaces.Space = spaces.Dict([(key, boxes[key]) for key in self.keys])
         if self._flat:
-            low, high = (np.concatenate([getattr(single[key], side) for key in self.keys]) for side in ("low", "high"))
+            low, high = (np.concatenate([getattr(boxes[key], side) for key in self.keys]) for side in ("low", "high"))
             observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         super().__init__(venv.num_envs, observation_space, action)
         self._same_step = venv.metadata.get("autoreset_mode") == AutoresetMode.SAME_STEP
@@ -120,6 +122,7 @@ class SB3VecEnv(VecEnv):
         return final, info.get("final_info", info), observation
 
     def _to_learner(self, observation: Any) -> NDArray | Observation:
+        observation = with_derived(observation, self.keys)
         if not self._flat:  # copied: the learner keeps this observation while the next step overwrites the buffers
             return {key: np.array(observation[key], np.float32) for key in self.keys}
         return np.concatenate([observation[key] for key in self.keys], axis=1).astype(np.float32, copy=False)
@@ -143,18 +146,18 @@ class SB3VecEnv(VecEnv):
         return [False] * len(list(self._get_indices(indices)))
 
 
-def _checked_keys(keys: Iterable[str], boxes: spaces.Dict) -> tuple[str, ...]:
+def _checked_keys(keys: Iterable[str], boxes: Mapping[str, spaces.Space]) -> tuple[str, ...]:
     """`keys`, and the base action last if there is one. ValueError where a key is unknown, repeated or not a vector."""
     names = tuple(key for key in keys if key != BASE_ACTION)
     if not names or len(set(names)) != len(names):
         raise ValueError(f"keys: expected at least one key and none twice, got {', '.join(names) or 'none'}")
-    if BASE_ACTION in boxes.spaces:
+    if BASE_ACTION in boxes:
         names += (BASE_ACTION,)
     for key in names:
-        if key not in boxes.spaces:
+        if key not in boxes:
             raise ValueError(f"keys: {key!r} is not in the observation; there are: {', '.join(boxes)}")
-        if not isinstance(boxes[key], spaces.Box) or len(boxes[key].shape or ()) != 1:
-            raise ValueError(f"keys: {key!r} is not a vector but {boxes[key]}")
+        if not isinstance(box := boxes[key], spaces.Box) or len(box.shape) != 1:
+            raise ValueError(f"keys: {key!r} is not a vector but {box}")
     return names
 
 
@@ -197,8 +200,9 @@ def make_learner_env(env_id: str, config: RunConfig, flatten: bool = True) -> SB
     try:
         if base is not None:
             venv = ResidualActionVector(venv, base, config.residual_scale)
-        there = getattr(venv.single_observation_space, "spaces", ())
-        return SB3VecEnv(venv, config.keys or tuple(key for key in there if key not in UNREAD), flatten)
+        there = getattr(venv.single_observation_space, "spaces", {})
+        keys = (*(key for key in there if key not in UNREAD), *derived_boxes(there))
+        return SB3VecEnv(venv, config.keys or keys, flatten)
     except ValueError:
         venv.close()
         raise

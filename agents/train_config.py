@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Self
 
 from agents.arguments import add_env_kwargs
 from agents.checkpoint import ACTIVATIONS
+from agents.derived_inputs import DERIVED
 
 LATEST, BEST = "latest.safetensors", "best.safetensors"
 AUTO = "auto"
@@ -45,7 +46,9 @@ class RunConfig:
     num_envs: int = option(64, "worlds side by side")
     seed: int = option(0, "of the network, the sampling and the worlds")
     keys: tuple[str, ...] = option(
-        (), f"observation keys the network reads, in this order; none: all but {', '.join(UNREAD)}"
+        (),
+        f"observation keys the network reads, in this order; none: all but {', '.join(UNREAD)}, and where there are "
+        f"goals {' and '.join(DERIVED)}",
     )
     residual: str | None = option(None, "name of the analytic policy to correct; none: the network acts alone")
     residual_scale: float = option(0.3, "what the correction is multiplied by before it is added to the base action")

@@ -15,6 +15,7 @@ import toy_goal as goal
 from aerograsp_env.wrappers import BASE_ACTION
 from agents import evaluate, load_policy, sac
 from agents.checkpoint import CheckpointError, NetworkLayout, load_checkpoint
+from agents.derived_inputs import DERIVED, FINE_SCALE, with_derived
 from agents.network_policy import NetworkPolicy, load_network_policy
 from agents.sac_config import SacConfig
 from agents.sac_training import REPLAY, load_replay
@@ -27,7 +28,7 @@ goal.register()
 SMALL = {"num_envs": 4, "hidden": (8,), "batch_size": 16, "learning_starts": 120, "gradient_steps": 1}
 SMALL |= {"eval_episodes": 2, "eval_every": 200, "checkpoint_every": 200, "replay_size": 1000, "algorithm": "sac"}
 FIELDS = {key: value for key, value in SMALL.items() if key != "algorithm"}
-READ = ("achieved_goal", "desired_goal", "observation")
+READ = ("achieved_goal", "desired_goal", "observation", *DERIVED)
 
 
 def built(env_id: str, **options):
@@ -56,7 +57,8 @@ def test_the_numpy_actor_equals_stable_baselines(keys, hidden, activation):
         for parameter in model.policy.parameters():
             parameter += 0.1 * torch.randn(parameter.shape)
     observation = observations(200)
-    normal = normalized.normalize_obs({key: observation[key] for key in env.keys})
+    read = with_derived(observation, env.keys)
+    normal = normalized.normalize_obs({key: read[key] for key in env.keys})
     expected, _ = model.predict(normal, deterministic=True)
     layout, tensors = sac.layout(config, env), sac.actor_tensors(model, normalized)
     assert layout.squash and layout.keys == (keys or READ)
@@ -124,6 +126,21 @@ def test_hindsight_goals_were_reached_later_in_the_same_episode_and_earn_the_env
         t, i = rows[tuple(sample.next_observations["achieved_goal"][k].numpy())]
         later, other = rows[tuple(sample.observations["desired_goal"][k].numpy())]
         assert other == i and later >= t and later // goal.LIMIT == t // goal.LIMIT
+
+
+def test_derived_observations_are_those_of_the_goals_of_hindsight():
+    _, _, model, normalized = built(goal.BATCHED, goals=10**6, seed=3)
+    model.learn(4 * 3 * goal.LIMIT)
+    sample = model.replay_buffer.sample(100)
+    happened = 0
+    for part in (sample.observations, sample.next_observations):
+        offset = part["desired_goal"] - part["achieved_goal"]
+        np.testing.assert_array_equal(part["goal_offset"], offset)
+        np.testing.assert_allclose(part["goal_offset_fine"].numpy(), np.tanh(offset.numpy() / FINE_SCALE), atol=1e-6)
+        happened += int((offset == 0.0).all(axis=1).sum())
+    assert happened > 0  # a goal of hindsight may be where the step led
+    normal = model.replay_buffer.sample(100, normalized).observations["goal_offset_fine"]
+    assert float(normal.abs().max()) <= normalized.clip_obs and float(normal.std()) > 0.1
 
 
 def test_no_hindsight_without_goals():
