@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.sim.arms.vehicles import BELEROFONTE_ARMS, VehicleConfig
 from aerograsp_env.sim.objects.crawler import crawler_handles, pipe_crawler
-from aerograsp_env.sim.objects.surface_points import surface_points
 from aerograsp_env.spatial import inverse, transform_points
 from baselines.grasping.dual import DualPlanner
 from baselines.grasping.on_bars import grasps_on_bars
@@ -22,12 +23,25 @@ Array = NDArray[np.float64]
 POINTS = 3000  # of the crawler's surface, for the fingers' room beside its handles
 
 
+@functools.cache
+def crawler_surface(count: int = POINTS) -> Array:
+    """(count, 6) points of the crawler's surface [m] and their outward normals, uniform by area; always the same."""
+    item, rng = pipe_crawler(), np.random.default_rng(0)
+    a, b, c = (np.asarray(item.vertices, dtype=np.float64)[item.faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    area = np.linalg.norm(cross, axis=1)
+    face = rng.choice(len(area), size=count, p=area / area.sum())
+    u, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    points = (1.0 - u) * a[face] + u * ((1.0 - v) * b[face] + v * c[face])
+    return np.concatenate([points, cross[face] / area[face, None]], axis=1)
+
+
 class CrawlerPlanner:
     """Finds the best pair of grasps of the crawler's handles, which the policy knows."""
 
     def __init__(self, planner: DualPlanner, friction: float = FRICTION) -> None:
         self.planner, self.friction = planner, friction
-        self.surface = surface_points(pipe_crawler(), POINTS)
+        self.surface = crawler_surface()
         self.jaws = planner.mounts[0].arm.gripper.jaws
 
     def __call__(self, scene: Scene, failed: tuple[Array, ...]) -> Manoeuvre | None:
