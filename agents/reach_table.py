@@ -35,8 +35,8 @@ NOTES = """\
 {episodes} pinned episodes of 10 s a figure; the mean over them of the true distance from tool to point [mm], its mean
 after the first 2 s, and the worst episode's. Light wind, a hover held by vision, 50 Hz. The point moves along a smooth
 closed path in the world; "estimated" is a tracker of 30 Hz, 60 ms late, 2 mm white and up to 3 mm wandering error per
-axis. Without feed-forward the same servoing goes to the point as it was last seen. Some points leave the reach of an
-arm while the vehicle drifts; they count.
+axis. Without feed-forward the same servoing goes to the point as it was last seen. Every episode counts, also
+those in which the drifting vehicle takes a point out of the arm's reach or the arm has to change its configuration.
 Hover: one arm swings from straight down to straight ahead in {swing:.0f} s, in still air and without sensor errors; the
 largest distance of the airframe from its place within {watched:.0f} s."""
 
