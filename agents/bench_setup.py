@@ -56,6 +56,7 @@ class Setup:
     film_episodes: int = 1  # of the best row; 0: none, for the study has films of its own
     conditions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # name → changes; the first comes first
     filmed: tuple[str, ...] = ()  # conditions that the study chooses its films from; by default the first
+    look: Mapping[str, Any] = field(default_factory=dict)  # options of the films' pictures
     study: str = ""  # "module:function" of what the report adds: `study(Measured) -> Study`
 
     def rows(self, env_id: str, quick: bool) -> list[str]:
@@ -145,6 +146,7 @@ SETUPS: dict[str, Setup] = {
             "hovering, GPS": {"docked": False, "localization": "gps"},
         },
         filmed=("docked",),
+        look={"camera": "front"},
         quick_options={},
         quick_episodes=5,
         quick_rows=("zero", "dock-dls", "dock-dls-pid", "ppo-residual"),

@@ -17,7 +17,7 @@ from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import PolicyUnavailable, env_spec, spaces
 from agents.provenance import provenance
 from agents.report import pairings, write_report
-from agents.robustness import Robustness, measured_rows, robustness, tables_text
+from agents.robustness import Robustness, measured_rows, robustness, summary, tables_text
 from agents.rows import RowStore, load_all
 from agents.seeds import TEST_SEED
 from agents.table import Row, best_row, table_data, table_text, with_pooled, without_trainings
@@ -128,8 +128,8 @@ def bench(
     paired = [pair.to_dict() for pair in pairings(measured.rows)]
     content = {**table_data(rows, published), "paired": paired, **study.data}
     tables = [table_text(rows, markdown=True, published=published)]
+    by_condition = {name: condition.rows for name, condition in studied.items()}
     if len(studied) > 1:
-        by_condition = {name: condition.rows for name, condition in studied.items()}
         table = f"{first}\n{table}\n\n{tables_text(by_condition, conditions)}"
         tables = [f"## {first}", *tables, "## All conditions", tables_text(by_condition, conditions, markdown=True)]
         content["conditions"] = {name: _condition_data(condition) for name, condition in studied.items()}
@@ -142,6 +142,7 @@ def bench(
         provenance=facts,
         settings=settings,
         condition=first,
+        summary=summary(by_condition),
         published=published,
         traces=traces,
         film=film,

@@ -123,7 +123,9 @@ def films_section(measured: Measured) -> list[str]:
         seed = measured.seed + shot.number
         where = f"{shot.condition}, " if shot.condition else ""
         try:
-            data = film(measured.env_id, shot.policy, seed, filmed[shot.condition].options, shot.seconds)
+            data = film(
+                measured.env_id, shot.policy, seed, {**filmed[shot.condition].options, **setup.look}, shot.seconds
+            )
         except (ValueError, RuntimeError) as error:
             if measured.progress:
                 print(f"no film: {error}", file=sys.stderr)

@@ -18,7 +18,7 @@ from agents import page
 from agents.bench_setup import Condition, Measured, Study
 from agents.grasp_report import heat_row
 from agents.manipulation_films import films_section, reference
-from agents.report import pairing_cells, pairings
+from agents.report import difference_head, pairing_cells, pairings
 from agents.robustness import section
 from agents.scoring import CAUSES
 from agents.statistics import Interval
@@ -30,7 +30,7 @@ CAUSE_COLORS = {
     "slipped": "#e8b13a",
     "collided": "#c4557c",
     "jammed": "#8a6fd1",
-    "timed_out": "#8a8f96",
+    "timed out": "#8a8f96",
 }
 DOCKED = "docked"
 LIMITS = {"hovering, vision": 1.0, "hovering, GPS": 1.0 / 3.0}  # of the docked error over the hovering one, wanted
@@ -89,16 +89,19 @@ def conditions_section(conditions: Mapping[str, Condition]) -> list[str]:
 
 def paired_section(measured: Measured) -> list[str]:
     """Every row against the reference row, condition by condition but the first, which the page has already."""
-    lines, tested = [], False
-    for name, of in list(measured.conditions.items())[1:]:
-        labels, found = {row.policy: row.label for row in of.rows}, pairings([row for row in of.rows if row.values])
-        tested = tested or any(pair.test is not None for pair in found)
-        for pair in found:
-            cells = pairing_cells(pair, tested=True)
-            lines.append(page.table_row([page.text(f"{name}: {labels[pair.policy]}"), pair.reference, *cells]))
-    if not lines:
+    others = list(measured.conditions.items())[1:]
+    found = [(name, of, pair) for name, of in others for pair in pairings([row for row in of.rows if row.values])]
+    if not found:
         return []
-    head = ["condition: policy", "reference", "difference", "95 % interval", "only it", "only reference", "McNemar p"]
+    tested = any(pair.test is not None for *_, pair in found)
+    lines = []
+    for name, of, pair in found:
+        label = next(row.label for row in of.rows if row.policy == pair.policy)
+        cells = [page.text(f"{name}: {label}"), page.text(pair.reference), *pairing_cells(pair, tested)]
+        lines.append(page.table_row(cells))
+    head = ["condition: policy", "reference", difference_head(found[0][2].column), "95 % interval"]
+    if tested:
+        head += ["only it", "only reference", "McNemar p"]
     said = ["Mean differences on the same episodes, policy minus reference (the best analytic row of the condition)."]
     if tested:
         said.append("“Only”: episodes in which one of the two succeeded and the other did not; p: exact.")
@@ -121,7 +124,11 @@ def causes_section(conditions: Mapping[str, Condition]) -> list[str]:
     shares = {name: outcomes(of.rows) for name, of in conditions.items()}
     if not any(shares.values()):
         return []
-    bars = {f"{name}: {label}" if name else label: of for name, rows in shares.items() for label, of in rows.items()}
+    bars = {
+        f"{name}: {label}" if name else label: {outcome.replace("_", " "): share for outcome, share in of.items()}
+        for name, rows in shares.items()
+        for label, of in rows.items()
+    }
     caption = (
         "Missed: the jaws closed on nothing. Slipped: held or lifted, then lost. Collided: the vehicle or its arm "
         "struck something, or the object was pushed off. Jammed: held but not lifted, or a servo overloaded. Timed "

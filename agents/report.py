@@ -56,6 +56,7 @@ def html_report(
     provenance: Mapping[str, Any],
     settings: Mapping[str, Any] | None = None,
     condition: str = "",
+    summary: str = "",
     published: Sequence[Published] = (),
     traces: Sequence["Trace"] = (),
     film: bytes | None = None,
@@ -70,6 +71,7 @@ def html_report(
         provenance: what `agents.provenance.provenance` gives.
         settings: name → value of what was measured (id, episodes, seeds, options), for the reader.
         condition: which of several the rows were measured under.
+        summary: what else stands at the top.
         published: figures to stand beside them.
         traces: one pinned episode of some rows.
         film: a GIF to embed.
@@ -85,7 +87,7 @@ def html_report(
         raise ValueError("film: expected the bytes of a GIF")
     ran = [row for row in rows if row.values]
     best = best_row(ran)
-    parts = [_lead(ran, best, condition)]
+    parts = [_lead(ran, best, condition), f"<p>{page.text(summary)}</p>" if summary else ""]
     if film is not None:
         parts.append(page.film_figure(film, film_caption))
     heading = f"Comparison: {page.text(condition)}" if condition else "Comparison"
@@ -209,16 +211,20 @@ def paired(rows: Sequence[Row]) -> list[str]:
     parts.append("<p>Mean differences on the same episodes, policy minus reference.</p>")
     for column in kind.paired:
         lines = [_pairing_row(labels[pair.policy], pair, tested) for pair in found if pair.column is column]
-        name, _, unit = column.head.partition(" [")
-        unit = "points" if unit == "%]" else unit.rstrip("]")
         tests = ["only it", f"only {reference.policy}", "McNemar p"] if tested else []
-        head = ["policy", f"{name}: difference [{unit}]", "95 % interval", *tests, "", "episodes"]
+        head = ["policy", difference_head(column), "95 % interval", *tests, "", "episodes"]
         parts.append(page.table(head, lines))
     if tested:
         parts.append(
             page.notes(["“Only”: episodes in which one of the two succeeded and the other did not; p: exact."])
         )
     return parts
+
+
+def difference_head(column: Column) -> str:
+    """What stands over differences of a column."""
+    name, _, unit = column.head.partition(" [")
+    return f"{name}: difference [{'points' if unit == '%]' else unit.rstrip(']')}]"
 
 
 def _pairing_row(label: str, pair: Pairing, tested: bool) -> str:

@@ -151,6 +151,17 @@ def measured_rows(store: RowStore, condition: str, options: Mapping[str, Any], l
     return without_trainings(with_pooled(rows))
 
 
+def summary(rows: Mapping[str, Sequence[Row]]) -> str:
+    """A sentence: how the best row of the first condition does under all; "" where there is no best or no other."""
+    column, best = _columns(rows)[0], _kind(rows).best([row for row in next(iter(rows.values())) if row.values])
+    if best is None or len(rows) < 2:
+        return ""
+    own = {name: next(row for row in of if row.policy == best.policy) for name, of in rows.items()}
+    return (
+        f"{best.label}, {column.head}: " + ", ".join(f"{name} {_cell(row, column)}" for name, row in own.items()) + "."
+    )
+
+
 def tables_text(
     rows: Mapping[str, Sequence[Row]], changes: Mapping[str, Mapping[str, Any]], markdown: bool = False
 ) -> str:
