@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.grasping.reaching import Reached
 from baselines.grasping.reranking import rerank
 from baselines.grasping.scenes import Scene
 from baselines.kinematics.arm import Arm
@@ -28,6 +27,7 @@ from baselines.kinematics.servo import (
     target_twist,
     update_track,
 )
+from baselines.policies.grasp_margins import depth_after, height_over
 from baselines.policies.grasp_reading import Hand, Reading
 from baselines.policies.grasp_state import LIMITS, Manoeuvre, Phase, Pilot, PilotSettings
 
@@ -77,7 +77,7 @@ class Flight:
         track = start_track(r.T_body_object, r.support[1:], r.rpy, r.velocity)
         n = len(self.arms)
         seat = track.points[1] - track.at
-        return Pilot(track, Phase.LOOK, 0, None, seat, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, (), 0, 0.0)
+        return Pilot(track, Phase.LOOK, 0, None, seat, 0.0, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, (), 0, 0.0)
 
     def _follow(self, r: Reading, p: Pilot) -> Pilot:
         track = update_track(p.track, r.T_body_object, r.support[1:], r.age, r.rpy, r.velocity, self.track_settings)
@@ -95,9 +95,11 @@ class Flight:
         if p.phase == Phase.LOOK:
             return self._plan(r, p) if time >= s.look else p
         if p.phase == Phase.TRANSIT:
-            apart = np.linalg.norm(self._base_error(p, s.above))
+            apart = np.linalg.norm(self._base_error(p, p.above))
             ready = apart < s.near and self._postured(r, p)
             return self._go(p, Phase.ALIGN) if ready or late else p
+        if p.phase == Phase.ALIGN and self._high(p):
+            return p._replace(since=0)
         if p.phase == Phase.ALIGN:
             error, turn = self._tool_error(r, p)
             good = error < s.aligned and turn < s.aligned_turn
@@ -132,18 +134,11 @@ class Flight:
         if manoeuvre is None:
             return p._replace(since=0, failed=())
         wanted = seat + manoeuvre.T_level_object[:3, 3] - T[:3, 3]
-        deeper = min(self._depth(p, scene, grasp) for grasp in manoeuvre.hands)
+        deeper = min(depth_after(p.misses, scene, grasp, self.settings) for grasp in manoeuvre.hands)
         return self._go(
-            p, Phase.TRANSIT, manoeuvre=manoeuvre, seat=wanted, travel=self.settings.back, height=0.0, deeper=deeper
-        )
-
-    def _depth(self, p: Pilot, scene: Scene, grasp: Reached) -> float:
-        """How much deeper to go after misses [m]: fingers are long and pads small. The support bounds it."""
-        s = self.settings
-        T = scene.T_level_object @ grasp.T_object_grasp
-        height = float((T[:3, 3] - scene.support) @ scene.up)
-        slope = max(0.2, -float(T[:3, 2] @ scene.up))
-        return max(0.0, min(s.deeper * p.misses, 2.0 * s.deeper, (height - s.tip_room) / slope))
+            p, Phase.TRANSIT, manoeuvre=manoeuvre, seat=wanted, above=height_over(scene, manoeuvre, self.arms, [hand.q for hand in r.hands], self.settings),
+            travel=self.settings.back, height=0.0, deeper=deeper,
+        )  # fmt: skip
 
     def _reconsider(self, p: Pilot) -> Pilot:
         """Another grasp of the plan, where the one that is being done has left the arm's workspace."""
@@ -156,7 +151,7 @@ class Flight:
         grasp = m.plan[choice.chosen]
         seat = p.seat + grasp.T_level_object[:3, 3] - m.T_level_object[:3, 3]
         changed = Manoeuvre((grasp,), grasp.T_level_object, m.plan, choice.chosen)
-        return self._go(p, Phase.TRANSIT, manoeuvre=changed, seat=seat, travel=s.back)
+        return self._go(p, Phase.TRANSIT, manoeuvre=changed, seat=seat, above=s.highest, travel=s.back)
 
     def _approach(self, r: Reading, p: Pilot, late: bool) -> Pilot:
         s = self.settings
@@ -190,6 +185,10 @@ class Flight:
     def _base_error(self, p: Pilot, above: float) -> Array:
         """(3,) how far the body has to go [m], odometry axes, to be `above` its place."""
         return np.asarray(p.track.points[1] - p.track.at - p.seat + (0.0, 0.0, above))
+
+    def _high(self, p: Pilot) -> bool:
+        """Whether the base has still to come down."""
+        return bool(-self._base_error(p, 0.0)[2] > self.settings.low)
 
     def _target(self, p: Pilot, k: int) -> Array:
         """T_body_tool (4, 4) wanted of an arm's tool now."""
@@ -239,8 +238,11 @@ class Flight:
 
     def _command(self, r: Reading, p: Pilot) -> Array:
         s = self.settings
-        above = s.above if p.phase == Phase.TRANSIT else s.retreat if p.phase == Phase.RETREAT else p.height
-        velocity = s.base_gain * self._base_error(p, above)
+        above = p.above if p.phase == Phase.TRANSIT else s.retreat if p.phase == Phase.RETREAT else p.height
+        error = self._base_error(p, above)
+        if p.phase == Phase.TRANSIT:  # first up, then sideways
+            error[:2] *= np.clip(2.0 - error[2] / s.low, 0.0, 1.0)
+        velocity = s.base_gain * error
         speed = float(np.linalg.norm(velocity))
         velocity = velocity * min(1.0, s.base_speed / max(speed, 1e-9)) + p.track.drifts[1]
         rates, drives = [], []
@@ -254,7 +256,9 @@ class Flight:
         if not p.grasps or p.phase in (Phase.LOOK, Phase.LIFT, Phase.RELEASE):
             return np.zeros(self.joints[k])
         grasp = p.grasps[k]
-        if p.phase in (Phase.TRANSIT, Phase.RETREAT):
+        if p.phase == Phase.TRANSIT and self._base_error(p, p.above)[2] > s.low:
+            return np.zeros(self.joints[k])  # first up
+        if (p.phase == Phase.ALIGN and self._high(p)) or p.phase in (Phase.TRANSIT, Phase.RETREAT):
             return joint_rates(hand.q + hand.lag, grasp.q_before, s.posture_rate)
         T = self._target(p, k)
         point = 1 if p.phase == Phase.CLOSE else 0

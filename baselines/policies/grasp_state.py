@@ -45,6 +45,7 @@ class Pilot(NamedTuple):
     since: int  # steps in this phase
     manoeuvre: Manoeuvre | None
     seat: Array  # (3,) where the base should have the seat, from the body's origin, level axes [m]
+    above: float  # that the base stays higher in transit [m]
     travel: float  # of the tools still to go along their approach axes [m]
     anchors: Array  # (arms, 4, 4) tool poses where the jaws close; positions from the seat, level axes
     height: float  # by which the base was told to lift [m]
@@ -68,7 +69,10 @@ class PilotSettings:
     joint_rate: float = 2.0  # [rad/s]
     look: float = 0.3
     back: float = 0.09  # of the pre-grasp, as planned
-    above: float = 0.10  # that the base stays higher until the arms are ready
+    above: float = 0.10  # that the base stays higher until the arms are ready, at least
+    over: float = 0.03  # of the tools over the object's top meanwhile
+    highest: float = 0.30  # that it goes for this
+    low: float = 0.06  # height that it may lack when it moves sideways, or the arms reach out
     base_gain: float = 1.3  # [1/s]
     base_speed: float = 0.30
     posture_rate: float = 1.2  # of joints in transit [rad/s]
