@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ GAP = 0.003  # [m] between the gripper and the support
 STARTS, BODY = 200, 500  # surface points that pairs start from, and that must be clear of the gripper
 TILT = 0.6 * FRICTION_ANGLE  # of further lines from each of them, to four sides
 TURNS = 12  # approach directions about a closing line
+FILLING = 0.012  # [m] between points all through the gripper, none of which may be within the object
 LEAST_WIDTH = 0.004  # [m]
 
 
@@ -45,7 +47,9 @@ def opposed_pairs(item: GraspObject, widest: float = WIDEST) -> OpposedPairs:
     """From points of the surface inwards, straight and a little tilted, to where the ray leaves the material again."""
     cloud = surface_points(item, STARTS)
     points, inward = np.tile(cloud[:, :3], (5, 1)), _tilted(-cloud[:, 3:])
-    enter, leave, out = (np.stack(rows) for rows in zip(*(_cross(p, points, inward) for p in item.pieces), strict=True))
+    enter, leave, out = (
+        np.stack(rows) for rows in zip(*(_cross(p, points, inward) for p in _planes(item)), strict=True)
+    )
     end, normal = np.zeros(len(points)), np.zeros_like(points)
     for _ in range(len(item.pieces)):  # material goes on where another piece begins before the last one ends
         reach = np.where((enter <= end + 1e-6) & (leave > end + 1e-9), leave, -np.inf)
@@ -86,7 +90,9 @@ def can_be_taken(item: GraspObject, T_world_object: Array, support: Support, gri
             R = np.stack([pairs.closing[k], np.cross(approach, pairs.closing[k]), approach], axis=1)
             center = to_seat[:3, :3] @ pairs.center[k] + to_seat[:3, 3]
             free = _clear_of_support(boxes, to_seat[:3, :3] @ R, center, support)
-            if free and not _meets(boxes, (body - pairs.center[k]) @ R):
+            if not free or _meets(boxes, (body - pairs.center[k]) @ R):
+                continue
+            if not _within(_planes(item), _filled(boxes) @ R.T + pairs.center[k]):
                 return True
     return False
 
@@ -117,14 +123,41 @@ def _meets(boxes: tuple[Box, ...], points: Array) -> bool:
     return any((np.abs(points - box.center) < box.half_size).all(axis=1).any() for box in boxes)
 
 
-def _cross(piece: Convex, points: Array, directions: Array) -> tuple[Array, Array, Array]:
-    """Where rays enter and leave a convex piece [m], (N,) each, and its normal where they leave (N, 3)."""
+def _filled(boxes: tuple[Box, ...]) -> Array:
+    """(K, 3) points all through the boxes, their gripper's frame; those of the pads' faces are left to `_meets`."""
+    parts = []
+    for box in boxes:
+        half = 0.9 * np.asarray(box.half_size)
+        axes = [np.linspace(-h, h, max(2, math.ceil(2.0 * h / FILLING) + 1)) for h in half]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        parts.append(grid + box.center)
+    return np.concatenate(parts)
+
+
+def _within(pieces: Sequence[tuple[Array, Array]], points: Array) -> bool:
+    """Whether one of the points lies within one of the pieces, given by their planes."""
+    return any((points @ normals.T < distance).all(axis=1).any() for normals, distance in pieces)
+
+
+@functools.lru_cache(maxsize=256)
+def _planes(item: GraspObject) -> tuple[tuple[Array, Array], ...]:
+    """Of each piece the outward unit normals (F, 3) of its facets, and their distances (F,) from the origin [m]."""
+    return tuple(_facets(piece) for piece in item.pieces)
+
+
+def _facets(piece: Convex) -> tuple[Array, Array]:
     a, b, c = (np.asarray(piece.vertices, dtype=np.float64)[piece.faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1)
     keep = lengths > 1e-12
     normals = normals[keep] / lengths[keep, None]
-    offset = np.einsum("ij,ij->i", normals, a[keep]) - points @ normals.T  # (N, F) distance to each plane
+    return normals, np.einsum("ij,ij->i", normals, a[keep])
+
+
+def _cross(facets: tuple[Array, Array], points: Array, directions: Array) -> tuple[Array, Array, Array]:
+    """Where rays enter and leave a convex piece [m], (N,) each, and its normal where they leave (N, 3)."""
+    normals, distance = facets
+    offset = distance - points @ normals.T  # (N, F) distance to each plane
     speed = directions @ normals.T
     with np.errstate(divide="ignore", invalid="ignore"):
         at = offset / speed
