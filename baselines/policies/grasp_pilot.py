@@ -134,11 +134,11 @@ class Flight:
         if manoeuvre is None:
             return p._replace(since=0, failed=())
         wanted = seat + manoeuvre.T_level_object[:3, 3] - T[:3, 3]
-        deeper = min(depth_after(p.misses, scene, grasp, self.settings) for grasp in manoeuvre.hands)
-        return self._go(
-            p, Phase.TRANSIT, manoeuvre=manoeuvre, seat=wanted, above=height_over(scene, manoeuvre, self.arms, [hand.q for hand in r.hands], self.settings),
-            travel=self.settings.back, height=0.0, deeper=deeper,
-        )  # fmt: skip
+        s, angles = self.settings, [hand.q for hand in r.hands]
+        deeper = min(depth_after(p.misses, scene, grasp, s) for grasp in manoeuvre.hands)
+        above = height_over(scene, manoeuvre, self.arms, angles, s)
+        changes: dict[str, Any] = {"seat": wanted, "above": above, "travel": s.back, "height": 0.0, "deeper": deeper}
+        return self._go(p, Phase.TRANSIT, manoeuvre=manoeuvre, **changes)
 
     def _reconsider(self, p: Pilot) -> Pilot:
         """Another grasp of the plan, where the one that is being done has left the arm's workspace."""
