@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 import aerograsp_env  # noqa: F401  registers the ids
@@ -32,7 +35,7 @@ from aerograsp_env.sim.objects import test_objects as named_objects
 from aerograsp_env.sim.objects.crawler import crawler_handles
 from aerograsp_env.sim.objects.shapes import box
 
-CALM = {"wind": "calm", "pose": "exact"}
+CALM: dict[str, Any] = {"wind": "calm", "pose": "exact"}
 OPEN, CLOSE = -1.0, 1.0
 ENVS = pytest.mark.parametrize("cls", [GraspEnv, GraspDualEnv], ids=["one arm", "two arms"])
 
@@ -75,6 +78,8 @@ def idle(env, gripper: float = 0.0) -> np.ndarray:
 @pytest.mark.parametrize("name", LEVELS)
 def test_episodes_are_as_the_level_says(name):
     env, level = GraspEnv(level=name), LEVELS[name]
+    assert level.mass is not None
+    assert level.friction is not None
     slopes, masses, seen = set(), [], set()
     for seed in range(25):
         observation, info = env.reset(seed=seed)
@@ -151,6 +156,18 @@ def test_objects_can_be_chosen_and_keep_their_own_mass_where_the_level_draws_non
         env.reset(options={"object": "mugg"})
 
 
+def test_a_mesh_of_the_users_own_can_be_grasped(tmp_path):
+    path = tmp_path / "wedge.stl"
+    trimesh.creation.box((0.04, 0.06, 0.10)).export(path)
+    env = GraspEnv(objects=path)
+    observation, info = env.reset(seed=0)
+    assert info["object"] == "wedge"
+    np.testing.assert_allclose(np.ptp(object_cloud(observation)[:, :3], axis=0), (0.04, 0.06, 0.10), atol=5e-3)
+    batch = gymnasium.make_vec("aerograsp/Grasp-v0", num_envs=2, objects=str(path))
+    assert batch.reset(seed=0)[1]["object"].tolist() == ["wedge", "wedge"]
+    batch.close()
+
+
 def test_a_mass_that_is_drawn_scales_the_inertia():
     env = GraspEnv(objects="spanner", level={"mass": (0.3, 0.3)})
     env.reset(seed=0)
@@ -217,6 +234,20 @@ def test_tools_are_those_of_the_encoders(cls):
         np.testing.assert_allclose(matrix(observation["tool"][9 * i : 9 * i + 9]), T, atol=2e-6)
 
 
+def test_an_estimate_that_stops_arriving_is_held_and_grows_old():
+    env = GraspEnv(estimate={"loss_interval": 0.5, "loss_duration": 60.0})
+    observation, _ = env.reset(seed=0)
+    ages, held = [], []
+    for _ in range(250):
+        observation, *_ = env.step(idle(env))
+        ages.append(float(observation["object_age"][0]))
+        held.append(np.concatenate([observation["object"], observation["support"]]))
+    assert ages[-1] > 1.0
+    lost = int(np.argmax(np.array(ages) > 0.15))
+    np.testing.assert_allclose(np.diff(ages[lost:]), 0.02, atol=1e-5)
+    assert all(np.array_equal(row, held[-1]) for row in held[lost:])
+
+
 def test_the_cloud_is_the_objects_surface_and_stays():
     env = GraspEnv()
     observation, _ = env.reset(seed=3)
@@ -245,9 +276,9 @@ def test_the_cloud_is_the_objects_surface_and_stays():
 # what counts --------------------------------------------------------------------------------------
 
 
-def lifted(env, height: float) -> np.ndarray:
-    """The object's first pose, moved up."""
-    T = env._start.copy()
+def raised(T: np.ndarray, height: float) -> np.ndarray:
+    """The same pose, moved up."""
+    T = T.copy()
     T[2, 3] += height
     return T
 
@@ -256,11 +287,11 @@ def lifted(env, height: float) -> np.ndarray:
 def test_success_is_a_rise_of_ten_centimetres_for_one_second_without_a_break(cls):
     env = cls(**CALM)
     env.reset(seed=0)
-    env._start = env.state["object"].copy()
+    start = env.state["object"].copy()
 
-    def hold(height: float, steps: int) -> dict:
+    def hold(height: float, steps: int) -> dict[str, Any]:
         for _ in range(steps):
-            put_object(env, lifted(env, height))
+            put_object(env, raised(start, height))
             info = env.step(idle(env))[-1]
         return info
 
@@ -280,9 +311,9 @@ def test_success_is_a_rise_of_ten_centimetres_for_one_second_without_a_break(cls
 def test_a_crash_undoes_success():
     env = GraspEnv(**CALM)
     env.reset(seed=0)
-    env._start = env.state["object"].copy()
+    start = env.state["object"].copy()
     for _ in range(51):
-        put_object(env, lifted(env, 0.12))
+        put_object(env, raised(start, 0.12))
         info = env.step(idle(env))[-1]
     assert info["success"]
     env.data.qpos[0] += 3.5  # out of bounds
@@ -440,7 +471,7 @@ def test_hitting_the_table_for_a_second_is_a_collision_of_the_arm():
 @pytest.mark.parametrize("env_id", ["aerograsp/Grasp-v0", "aerograsp/GraspDual-v0"])
 @pytest.mark.parametrize("mode", ["next_step", "same_step"])
 def test_a_batch_equals_single_worlds_exactly(env_id, mode):
-    options = {"level": "heavy", "randomize": True}
+    options: dict[str, Any] = {"level": "heavy", "randomize": True}
     batch = gymnasium.make_vec(env_id, num_envs=2, max_episode_steps=12, autoreset_mode=mode, **options)
     singles = [gymnasium.make(env_id, max_episode_steps=12, **options) for _ in range(2)]
     rng = np.random.default_rng(0)
@@ -454,6 +485,7 @@ def test_a_batch_equals_single_worlds_exactly(env_id, mode):
         actions = rng.uniform(-1.0, 1.0, batch.action_space.shape).astype(np.float32)
         observation, rewards, _, truncations, info = batch.step(actions)
         for i, env in enumerate(singles):
+            reward: Any
             if mode == "next_step" and done:
                 (single, single_info), reward = env.reset(), 0.0
             else:

@@ -35,7 +35,7 @@ MEMBERS = 16  # of a family
 PLACEMENTS = 16  # of an object on a support
 HEIGHT = 2.6  # of a support's seat above its own world's floor [m]: its legs reach below the scene's
 PIPE_LENGTH = 1.2  # [m]: it ends clear of the rotors, however it is turned
-MODELS = 48  # compiled scenes that are kept
+MODELS = 128  # compiled scenes that are kept
 _ATTEMPTS = 200
 
 
