@@ -142,8 +142,8 @@ SETUPS: dict[str, Setup] = {
         learned=("ppo-residual",),
         conditions={
             "docked": {"docked": True, "localization": "dock"},
-            "hovering, vision": {"docked": False, "localization": "vision"},
-            "hovering, GPS": {"docked": False, "localization": "gps"},
+            "hovering on vision": {"docked": False, "localization": "vision"},
+            "hovering on GPS": {"docked": False, "localization": "gps"},
         },
         filmed=("docked",),
         look={"camera": "front"},

@@ -91,7 +91,7 @@ def bench(
     names = list(dict.fromkeys(policies or default_rows(env_id, quick)))
     facts = provenance(command)
     _, observation_space = spaces(env_id, kwargs)
-    traceable = "position_error" in getattr(observation_space, "spaces", {})
+    traceable = "position_error" in getattr(observation_space, "spaces", {}) and not setup.conditions
     loaded = load_all(env_id, names, kwargs)
     store = RowStore(folder, env_id, episodes, seed, facts, fresh, progress)
     rows: list[Row] = []

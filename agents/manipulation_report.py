@@ -33,7 +33,7 @@ CAUSE_COLORS = {
     "timed out": "#8a8f96",
 }
 DOCKED = "docked"
-LIMITS = {"hovering, vision": 1.0, "hovering, GPS": 1.0 / 3.0}  # of the docked error over the hovering one, wanted
+LIMITS = {"hovering on vision": 1.0, "hovering on GPS": 1.0 / 3.0}  # of the docked error over the hovering one, wanted
 RESAMPLES = 2000
 
 

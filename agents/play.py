@@ -205,9 +205,12 @@ class _Shots:
     def _error(self, observation: Mapping[str, Any]) -> float | None:
         """True distance from the set-point where the simulator tells it, else the observed one [m]."""
         env: Any = self.env.unwrapped
-        for record, name in ((getattr(env, "state", None), "true_error"), (getattr(env, "record", None), "distance")):
-            if record is not None and name in (record.dtype.names or ()) and int(env.state["step"]) > 0:
-                return float(np.linalg.norm(record[name]))
+        state, record = getattr(env, "state", None), getattr(env, "record", None)
+        begun = state is not None and int(state["step"]) > 0
+        if record is not None:  # of a task of arms
+            return float(record["distance"]) if begun and "distance" in record.dtype.names else None
+        if begun:
+            return float(np.linalg.norm(state["true_error"]))
         error = observation.get("position_error")
         return None if error is None else float(np.linalg.norm(error))
 
@@ -240,7 +243,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--seconds", metavar="S", type=float, default=10.0, help="of every episode that are filmed")
     add_seed(parser, TEST_SEED)
     add_env_kwargs(parser)
-    parser.add_argument("--camera", metavar="NAME", default="side", help="side, front or tool")
+    parser.add_argument("--camera", metavar="NAME", default="side", help="side, front, tool (docking) or close (arms)")
     parser.add_argument("--width", metavar="PX", type=positive_int, default=None, help="480; 960 without --out")
     parser.add_argument("--height", metavar="PX", type=positive_int, default=None, help="360; 720 without --out")
     parser.add_argument("--fps", metavar="F", type=float, default=20.0, help="frames per second")

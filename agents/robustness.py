@@ -158,7 +158,7 @@ def summary(rows: Mapping[str, Sequence[Row]]) -> str:
         return ""
     own = {name: next(row for row in of if row.policy == best.policy) for name, of in rows.items()}
     return (
-        f"{best.label}, {column.head}: " + ", ".join(f"{name} {_cell(row, column)}" for name, row in own.items()) + "."
+        f"{best.label}, {column.head}: " + "; ".join(f"{name} {_cell(row, column)}" for name, row in own.items()) + "."
     )
 
 

@@ -153,13 +153,13 @@ def test_docking_is_compared_with_hovering() -> None:
     def row(*errors: float) -> Row:
         return Row("p", {"error": np.array(errors)})
 
-    conditions = {"docked": row(1, 1, 1), "hovering, vision": row(2, 2, 2), "hovering, GPS": row(2, 4, np.nan)}
+    conditions = {"docked": row(1, 1, 1), "hovering on vision": row(2, 2, 2), "hovering on GPS": row(2, 4, np.nan)}
     found = manipulation_report.ratios({name: Condition({}, {}, [of]) for name, of in conditions.items()})
     vision, gps = found
     assert (vision.value, vision.interval, vision.wanted) == (0.5, (0.5, 0.5), 1.0)
     assert gps.value == pytest.approx(1 / 3) and gps.episodes == 2 and gps.interval.low < gps.value < gps.interval.high
     page = "".join(manipulation_report.ratios_section(found))
-    assert "p, docked / hovering, GPS" in page and page.count("met") == 2
+    assert "p, docked / hovering on GPS" in page and page.count("met") == 2
     assert manipulation_report.ratios({"": Condition({}, {}, [row(1)])}) == []
     assert manipulation_report.ratios_section([]) == []
 
