@@ -32,7 +32,7 @@ PAIRS = 96  # most pairs that are tried from all sides
 # What counts in the score, each about 1 for the difference between a good and a poor grasp
 ANGLE = 2.0  # [1/rad] of the angle between closing axis and normals
 LEVER = 16.0  # [1/m] of the closing line's distance from the centre of mass
-SLACK = 8.0  # [1/m] of the room beside an object that is narrower than the jaws, up to ENOUGH
+SLACK = 25.0  # [1/m] of the room beside an object that is narrower than the jaws, up to ENOUGH
 ENOUGH = 0.020  # [m] on either side
 
 

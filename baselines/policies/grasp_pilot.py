@@ -77,14 +77,16 @@ class Flight:
         track = start_track(r.T_body_object, r.support[1:], r.rpy, r.velocity)
         n = len(self.arms)
         seat = track.points[1] - track.at
-        return Pilot(track, Phase.LOOK, 0, None, seat, 0.0, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, (), 0, 0.0)
+        return Pilot(
+            track, Phase.LOOK, 0, None, seat, 0.0, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, 0, (), 0, 0.0
+        )
 
     def _follow(self, r: Reading, p: Pilot) -> Pilot:
         track = update_track(p.track, r.T_body_object, r.support[1:], r.age, r.rpy, r.velocity, self.track_settings)
         return p._replace(track=track, since=p.since + 1)
 
     def _go(self, p: Pilot, phase: Phase, **changes: Any) -> Pilot:
-        return p._replace(phase=phase, since=0, settled=0, **changes)
+        return p._replace(phase=phase, since=0, settled=0, stuck=0, **changes)
 
     # --- what to do next ----------------------------------------------------------------------------------------------
 
@@ -156,13 +158,14 @@ class Flight:
     def _approach(self, r: Reading, p: Pilot, late: bool) -> Pilot:
         s = self.settings
         error, turn = self._tool_error(r, p)
-        travel = p.travel
+        travel, stuck = p.travel, p.stuck + 1
         if error < 1.5 * s.aligned and turn < 1.5 * s.aligned_turn:
-            travel = max(travel - s.approach_speed * s.step, 0.0)
-        p = p._replace(travel=travel, settled=p.settled + 1 if travel <= 0.0 and error < s.reached else 0)
+            travel, stuck = max(travel - s.approach_speed * s.step, 0.0), 0
+        p = p._replace(travel=travel, stuck=stuck, settled=p.settled + 1 if travel <= 0.0 and error < s.reached else 0)
+        late = late or stuck * s.step > s.blocked
         if p.settled < 3 and not late:
             return p
-        if travel > 0.02:
+        if travel > s.nearly:
             return self._give_up(p)
         return self._go(p, Phase.CLOSE, anchors=self._anchors(p))
 

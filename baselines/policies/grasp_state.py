@@ -50,6 +50,7 @@ class Pilot(NamedTuple):
     anchors: Array  # (arms, 4, 4) tool poses where the jaws close; positions from the seat, level axes
     height: float  # by which the base was told to lift [m]
     settled: int  # steps in a row for which the phase's aim has been met
+    stuck: int  # steps in a row for which the tools have come no nearer on the approach
     failed: tuple[Array, ...]
     misses: int  # how often the jaws closed on nothing
     deeper: float  # than planned that the tools go, along their approach axes [m]
@@ -80,6 +81,8 @@ class PilotSettings:
     aligned: float = 0.012  # of the tools
     aligned_turn: float = 0.12  # [rad]
     approach_speed: float = 0.08
+    blocked: float = 0.5  # time without progress on the approach: something is in the way
+    nearly: float = 0.012  # travel from which the jaws are closed none the less
     reached: float = 0.006  # of the tools at the grasp
     room: float = 0.05  # that the jaws are opened wider than the object
     stalled: float = 0.85  # load from which the jaws hold something
@@ -97,6 +100,6 @@ class PilotSettings:
 LIMITS = {  # longest times [s]
     Phase.TRANSIT: 6.0,
     Phase.ALIGN: 2.5,
-    Phase.APPROACH: 4.0,
+    Phase.APPROACH: 5.0,
     Phase.CLOSE: 2.6,
 }
