@@ -10,17 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from aerograsp_env.wrappers import BASE_ACTION
 from agents.checkpoint import NetworkLayout, load_checkpoint
-from agents.derived_inputs import DERIVED, GOALS, derive
+from agents.derived_inputs import DERIVED, GOALS, STEP, derive
 from agents.policies import UnknownName, load_policy, registered_policies
 
 LOG_STD_BOUNDS = (-20.0, 2.0)  # of a squashed actor, Stable-Baselines3's
+
+
+class Memory(NamedTuple):
+    """The state of a policy that reads how the goal moves."""
+
+    goal: NDArray | None = None  # desired_goal of the last call, (size,) or (N, size)
+    base: Any = None  # the base policy's state
 
 
 class NetworkPolicy:
@@ -61,6 +68,7 @@ class NetworkPolicy:
         self.base = base
         self.scale = float(scale)
         self._keys = layout.keys[:-1] if residual else layout.keys
+        self._remembers = STEP in self._keys
         self._weights = [self._cast(tensors[f"actor.{k}.weight"]).T.copy() for k in range(layout.layers)]
         self._biases = [self._cast(tensors[f"actor.{k}.bias"]) for k in range(layout.layers)]
         self._mean = self._cast(tensors["observation.mean"])
@@ -80,8 +88,9 @@ class NetworkPolicy:
 
         Args:
             observation: key -> (size,) or (N, size).
-            state: what the last call returned: the base policy's state; None for a policy without a base.
-            episode_start: None or (N,) bool, true where the base policy's state restarts.
+            state: what the last call returned: the base policy's state, in a `Memory` if the network reads "goal_step";
+                None in an episode's first call.
+            episode_start: None or (N,) bool, true where an episode begins.
             deterministic: the mean action, else one drawn with the trained standard deviation.
 
         Returns:
@@ -90,7 +99,13 @@ class NetworkPolicy:
         Raises:
             ValueError: a key is missing or of the wrong length.
         """
-        parts = [self._part(observation, key, size) for key, size in zip(self._keys, self.layout.sizes, strict=False)]
+        remembered = None
+        if self._remembers:
+            remembered, state = Memory() if state is None else state
+        parts = [
+            self._part(observation, key, size, remembered, episode_start)
+            for key, size in zip(self._keys, self.layout.sizes, strict=False)
+        ]
         base_action = None
         if self.base is not None:
             base_action, state = self.base.predict(observation, state, episode_start, True)
@@ -108,6 +123,8 @@ class NetworkPolicy:
         action = np.tanh(action) if self.layout.squash else np.clip(action, -1.0, 1.0)
         if base_action is not None:
             action = np.clip(base_action + self.scale * action, -1.0, 1.0)
+        if self._remembers:
+            state = Memory(np.array(observation[GOALS[1]], dtype=self.dtype), state)
         return action.astype(np.float32), state
 
     def _std(self, features: NDArray) -> NDArray:
@@ -117,9 +134,21 @@ class NetworkPolicy:
         weight, bias = self._log_std
         return np.exp(np.clip(features @ weight.T + bias, *LOG_STD_BOUNDS))
 
-    def _part(self, observation: Mapping[str, NDArray], key: str, size: int) -> NDArray:
+    def _part(
+        self,
+        observation: Mapping[str, NDArray],
+        key: str,
+        size: int,
+        remembered: NDArray | None = None,
+        episode_start: NDArray | None = None,
+    ) -> NDArray:
+        """The value of a key; `remembered` is the goal that the last call saw."""
         if key in DERIVED:
-            return derive(key, *(self._part(observation, goal, size) for goal in GOALS))
+            achieved, desired = (self._part(observation, goal, size) for goal in GOALS)
+            before = desired if remembered is None else remembered
+            if episode_start is not None:
+                before = np.where(np.reshape(episode_start, (*desired.shape[:-1], 1)), desired, before)
+            return derive(key, achieved, desired, before)
         if key not in observation:
             raise ValueError(f"observation: expected the key {key!r}, got {', '.join(map(str, observation))}")
         value = self._cast(observation[key])

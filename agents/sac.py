@@ -9,10 +9,11 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.buffers import DictReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
 from agents.checkpoint import NetworkLayout
-from agents.derived_inputs import with_derived
+from agents.derived_inputs import FINE_OFFSET, GOALS, OFFSET, derive
 from agents.learner_state import (
     check_training,
     generator_tensors,
@@ -25,12 +26,38 @@ from agents.sb3_env import SB3VecEnv, actor_layout, has_goals
 
 
 class HindsightBuffer(HerReplayBuffer):
-    """A memory whose derived observations are those of the goals that it makes up."""
+    """A memory that makes up goals which move as the true ones did.
 
-    @staticmethod
-    def _normalize_obs(obs: Any, env: VecNormalize | None = None) -> Any:
-        """Normalise samples, at once after their goals were replaced."""
-        return HerReplayBuffer._normalize_obs(dict(with_derived(obs, obs)), env)
+    The goals of an episode are all shifted alike, so that they meet what was achieved at a later step of it; where the
+    goal does not move, that is what was achieved then (the strategy "future" of Andrychowicz et al. 2017).
+    """
+
+    env: Any
+
+    def _get_virtual_samples(self, batch_indices: Any, env_indices: Any, env: VecNormalize | None = None) -> Any:
+        """Transitions with made-up goals, what is derived from these, and the rewards they earn."""
+        before = {key: rows[batch_indices, env_indices] for key, rows in self.observations.items()}
+        after = {key: rows[batch_indices, env_indices] for key, rows in self.next_observations.items()}
+        start, length = self.ep_start[batch_indices, env_indices], self.ep_length[batch_indices, env_indices]
+        later = np.random.randint((batch_indices - start) % self.buffer_size, length)  # noqa: NPY002 (its state is saved)
+        met = ((start + later) % self.buffer_size, env_indices)
+        achieved, desired = (self.next_observations[key][met] for key in GOALS)
+        for part in (before, after):
+            part[GOALS[1]] = achieved + (part[GOALS[1]] - desired)
+            for key in (OFFSET, FINE_OFFSET):
+                if key in part:
+                    part[key] = derive(key, part[GOALS[0]], part[GOALS[1]], part[GOALS[1]])
+        rewards = self.env.env_method("compute_reward", *(after[key] for key in GOALS), {}, indices=[0])[0]
+        ended = self.dones[batch_indices, env_indices] * (1 - self.timeouts[batch_indices, env_indices])
+        observations: Any = self._normalize_obs(before, env)
+        following: Any = self._normalize_obs(after, env)
+        return DictReplayBufferSamples(
+            observations={key: self.to_torch(rows) for key, rows in observations.items()},
+            actions=self.to_torch(self.actions[batch_indices, env_indices]),
+            next_observations={key: self.to_torch(rows) for key, rows in following.items()},
+            dones=self.to_torch(ended).reshape(-1, 1),
+            rewards=self.to_torch(self._normalize_reward(rewards.astype(np.float32).reshape(-1, 1), env)),
+        )
 
 
 class Learner(SAC):

@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 from aerograsp_env.wrappers import BASE_ACTION, ResidualActionVector
 from agents.arguments import one_line
 from agents.checkpoint import NetworkLayout
-from agents.derived_inputs import GOALS, derived_boxes, with_derived
+from agents.derived_inputs import DERIVED, GOALS, derive, derived_boxes
 from agents.network_policy import analytic_policy
 from agents.policies import env_spec
 from agents.train_config import UNREAD, RunConfig
@@ -57,6 +57,8 @@ class SB3VecEnv(VecEnv):
         boxes = {**single.spaces, **derived_boxes(single.spaces)}
         self.keys = _checked_keys(single.spaces if keys is None else keys, boxes)
         self.sizes = {key: int(np.prod(boxes[key].shape or ())) for key in self.keys}
+        self._derived = [key for key in self.keys if key in DERIVED]
+        self._goal: NDArray = np.zeros(())  # wanted in the observation before, if anything is derived
         self._flat = keys is not None and flatten
         # A sequence keeps its order, in which Stable-Baselines3 concatenates the parts; a mapping would be sorted.
         observation_space: spaces.Space = spaces.Dict([(key, boxes[key]) for key in self.keys])
@@ -77,7 +79,7 @@ class SB3VecEnv(VecEnv):
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return self._to_learner(observation)
+        return self._to_learner(observation, np.ones(self.num_envs, dtype=bool))
 
     def step_async(self, actions: NDArray) -> None:
         self._actions = actions
@@ -90,7 +92,9 @@ class SB3VecEnv(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
             final, final_info, observation = self._split_final(observation, info, dones)
-            rows = self._to_learner(final)
+            before = self._goal
+            rows = self._to_learner(final, np.zeros(self.num_envs, dtype=bool))
+            self._goal = before
             for i in np.flatnonzero(dones):
                 infos[i] = {
                     "terminal_observation": {k: v[i] for k, v in rows.items()} if isinstance(rows, dict) else rows[i],
@@ -105,7 +109,7 @@ class SB3VecEnv(VecEnv):
                     infos[i]["is_success"] = bool(final_info["success"][i])
             self._returns[dones] = 0.0
             self._lengths[dones] = 0
-        return self._to_learner(observation), np.asarray(reward, np.float32), dones, infos
+        return self._to_learner(observation, dones), np.asarray(reward, np.float32), dones, infos
 
     def _split_final(
         self, observation: Any, info: Mapping[str, Any], dones: NDArray
@@ -121,8 +125,13 @@ class SB3VecEnv(VecEnv):
                 rows[i] = info["final_obs"][i][key]
         return final, info.get("final_info", info), observation
 
-    def _to_learner(self, observation: Any) -> NDArray | Observation:
-        observation = with_derived(observation, self.keys)
+    def _to_learner(self, observation: Any, begins: NDArray) -> NDArray | Observation:
+        """The worlds' observations as the learner reads them; `begins` (N,), true for an episode's first one."""
+        if self._derived:
+            achieved, desired = (np.array(observation[key], np.float32) for key in GOALS)
+            before = np.where(begins[:, None], desired, self._goal)
+            self._goal = desired
+            observation = {**observation, **{key: derive(key, achieved, desired, before) for key in self._derived}}
         if not self._flat:  # copied: the learner keeps this observation while the next step overwrites the buffers
             return {key: np.array(observation[key], np.float32) for key in self.keys}
         return np.concatenate([observation[key] for key in self.keys], axis=1).astype(np.float32, copy=False)

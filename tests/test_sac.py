@@ -15,7 +15,7 @@ import toy_goal as goal
 from aerograsp_env.wrappers import BASE_ACTION
 from agents import evaluate, load_policy, sac
 from agents.checkpoint import CheckpointError, NetworkLayout, load_checkpoint
-from agents.derived_inputs import DERIVED, FINE_SCALE, with_derived
+from agents.derived_inputs import DERIVED, derive
 from agents.network_policy import NetworkPolicy, load_network_policy
 from agents.sac_config import SacConfig
 from agents.sac_training import REPLAY, load_replay
@@ -57,7 +57,8 @@ def test_the_numpy_actor_equals_stable_baselines(keys, hidden, activation):
         for parameter in model.policy.parameters():
             parameter += 0.1 * torch.randn(parameter.shape)
     observation = observations(200)
-    read = with_derived(observation, env.keys)
+    goals = (observation["achieved_goal"], observation["desired_goal"])
+    read = observation | {key: derive(key, *goals, goals[1]) for key in DERIVED}  # of an episode's first step
     normal = normalized.normalize_obs({key: read[key] for key in env.keys})
     expected, _ = model.predict(normal, deterministic=True)
     layout, tensors = sac.layout(config, env), sac.actor_tensors(model, normalized)
@@ -128,17 +129,29 @@ def test_hindsight_goals_were_reached_later_in_the_same_episode_and_earn_the_env
         assert other == i and later >= t and later // goal.LIMIT == t // goal.LIMIT
 
 
-def test_derived_observations_are_those_of_the_goals_of_hindsight():
+def test_goals_of_hindsight_move_as_the_true_ones_did(monkeypatch):
+    """They are the episode's, shifted; what is derived from them is theirs; their reward is the next observation's."""
+    step = goal.Goal.step
+
+    def moving(self, action):
+        self.goal = self.goal + np.array([0.03, -0.02])
+        return step(self, action)
+
+    monkeypatch.setattr(goal.Goal, "step", moving)
     _, _, model, normalized = built(goal.BATCHED, goals=10**6, seed=3)
     model.learn(4 * 3 * goal.LIMIT)
-    sample = model.replay_buffer.sample(100)
-    happened = 0
-    for part in (sample.observations, sample.next_observations):
-        offset = part["desired_goal"] - part["achieved_goal"]
-        np.testing.assert_array_equal(part["goal_offset"], offset)
-        np.testing.assert_allclose(part["goal_offset_fine"].numpy(), np.tanh(offset.numpy() / FINE_SCALE), atol=1e-6)
-        happened += int((offset == 0.0).all(axis=1).sum())
-    assert happened > 0  # a goal of hindsight may be where the step led
+    sample = model.replay_buffer.sample(200)
+    now, later = ({key: rows.numpy() for key, rows in part.items()} for part in (sample[0], sample[2]))
+    for part, before in ((now, None), (later, now["desired_goal"])):
+        for key in DERIVED[:2]:
+            expected = derive(key, part["achieved_goal"], part["desired_goal"], part["desired_goal"])
+            np.testing.assert_allclose(part[key], expected, atol=1e-6)
+        if before is not None:
+            np.testing.assert_allclose(part["goal_step"], part["desired_goal"] - before, atol=1e-5)
+            np.testing.assert_allclose(part["goal_step"], np.tile([0.03, -0.02], (200, 1)), atol=1e-5)
+    distance = np.linalg.norm(later["desired_goal"] - later["achieved_goal"], axis=1)
+    np.testing.assert_allclose(sample.rewards.numpy()[:, 0], -distance, atol=1e-6)
+    assert 0 < np.sum(distance[1:] < 1e-6) < 100  # met at once, or later
     normal = model.replay_buffer.sample(100, normalized).observations["goal_offset_fine"]
     assert float(normal.abs().max()) <= normalized.clip_obs and float(normal.std()) > 0.1
 
