@@ -92,6 +92,7 @@ class GraspTask(Task):
             for name in ("left_pad", "right_pad", "left_finger", "right_finger")
         ]
         self._drawn: _Drawn | None = None
+        self._names: dict[bytes, tuple[str, str]] = {}  # of object and support, by their scene
 
     def reward_terms(self, reward_mode: str) -> tuple[str, ...]:
         """All but `held`, or that alone."""
@@ -163,8 +164,12 @@ class GraspTask(Task):
 
     def told(self, record: np.void) -> dict[str, str]:
         """What `info` says of an episode: the cause of its failure so far, its object and support."""
-        item, support = self.pool.scene(record["scene"])
-        return {"cause": CAUSES[record["cause"]], "object": item.name, "support": support.name}
+        key = record["scene"].tobytes()
+        if key not in self._names:
+            item, support = self.pool.scene(record["scene"])
+            self._names[key] = item.name, support.name
+        name, kind = self._names[key]
+        return {"cause": CAUSES[record["cause"]], "object": name, "support": kind}
 
 
 def _within(bounds: tuple[float, float] | None, share: float) -> float | None:
