@@ -7,18 +7,8 @@ import pytest
 
 from aerograsp_env.spatial import matrix_from_rpy, se3_log, so3_exp, transform
 from baselines.kinematics.arm import Arm
-from baselines.kinematics.servo import (
-    REMEMBERED,
-    ServoSettings,
-    Track,
-    TrackSettings,
-    attitude_matrix,
-    joint_rates,
-    servo_rates,
-    start_track,
-    target_twist,
-    update_track,
-)
+from baselines.kinematics.servo import ServoSettings, joint_rates, servo_rates, target_twist
+from baselines.kinematics.tracking import REMEMBERED, Track, TrackSettings, attitude_matrix, start_track, update_track
 
 DT = 0.02
 T_WORLD_OBJECT = transform(so3_exp([0.3, -0.2, 1.1]), [0.5, 0.1, -0.4])

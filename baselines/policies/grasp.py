@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from aerograsp_env.sim.arms.vehicles import BELEROFONTE_ARMS, VehicleConfig
 from baselines.grasping.reaching import GraspPlanner
 from baselines.grasping.scenes import Scene
-from baselines.kinematics.servo import ServoSettings, TrackSettings
+from baselines.kinematics.servo import ServoSettings
+from baselines.kinematics.tracking import TrackSettings
 from baselines.policies.grasp_pilot import Flight
 from baselines.policies.grasp_reading import read
 from baselines.policies.grasp_state import Manoeuvre, Pilot, PilotSettings

@@ -13,7 +13,8 @@ from aerograsp_env.spatial import inverse, transform_points
 from baselines.grasping.dual import DualPlanner
 from baselines.grasping.on_bars import grasps_on_bars
 from baselines.grasping.scenes import Scene
-from baselines.kinematics.servo import ServoSettings, TrackSettings
+from baselines.kinematics.servo import ServoSettings
+from baselines.kinematics.tracking import TrackSettings
 from baselines.policies.grasp import FAILED_COST, FRICTION, GraspPolicy, alike
 from baselines.policies.grasp_pilot import Flight
 from baselines.policies.grasp_state import Manoeuvre, PilotSettings

@@ -17,16 +17,8 @@ from numpy.typing import NDArray
 from baselines.grasping.reranking import rerank
 from baselines.grasping.scenes import Scene
 from baselines.kinematics.arm import Arm
-from baselines.kinematics.servo import (
-    ServoSettings,
-    TrackSettings,
-    attitude_matrix,
-    joint_rates,
-    servo_rates,
-    start_track,
-    target_twist,
-    update_track,
-)
+from baselines.kinematics.servo import ServoSettings, joint_rates, servo_rates, target_twist
+from baselines.kinematics.tracking import TrackSettings, attitude_matrix, start_track, update_track
 from baselines.policies.grasp_margins import depth_after, height_over
 from baselines.policies.grasp_reading import Hand, Reading
 from baselines.policies.grasp_state import LIMITS, Manoeuvre, Phase, Pilot, PilotSettings

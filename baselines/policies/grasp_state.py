@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.grasping.reaching import Reached
-from baselines.kinematics.servo import Track
+from baselines.kinematics.tracking import Track
 
 Array = NDArray[np.float64]
 
