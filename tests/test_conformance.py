@@ -159,6 +159,7 @@ GRASP_DUAL_OPTIONS: list[dict[str, Any]] = [
 GRASP_OPTIONS: list[dict[str, Any]] = [
     *GRASP_DUAL_OPTIONS,
     {"vehicle": "aquiles"},
+    {"level": "combined"},
     *({"objects": objects} for objects in ("test", "train", "validation", "mug", ["mug", "can"], named_objects()[3])),
 ]
 OPTIONS = {

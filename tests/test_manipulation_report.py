@@ -201,5 +201,5 @@ def test_films_are_small_and_embedded(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_setups_are_those_of_the_tasks() -> None:
     assert SETUPS[GRASP].episodes >= 200 and SETUPS[GRASP].options["objects"] == "test"
-    assert list(SETUPS[GRASP].conditions) == ["easy", "gusty", "biased", "oblique", "heavy"]
+    assert list(SETUPS[GRASP].conditions) == ["easy", "gusty", "biased", "oblique", "heavy", "combined"]
     assert SETUPS[GRASP_DUAL].filmed == ("easy", "gusty") and SETUPS[DOCK].conditions == {}

@@ -164,12 +164,13 @@ class GraspEnv(LiftEnv):
     | biased | light | as easy | as easy | 0.7 | 5–15 mm, 0–3° | 100 ms |
     | oblique | light | 15–30° (in steps of 5°), any heading | as easy | 0.7 | as easy | 60 ms |
     | heavy | light | as easy | 0.2–0.8 | 0.25–0.45 | as easy | 60 ms |
+    | combined | gusty | as oblique | 0.2–0.8 | 0.25–0.45 | 15–30 mm, 0–6° | 150 ms |
 
     The pads' friction is 0.7, a contact's the geometric mean of both. Biases have any direction. The object's centre of
-    mass begins 0.16 m ahead of the arm's base and 0.49 m below it (aquiles: 0.15 and 0.46 m), ± 4, 4 and 2 cm, lower
-    where it would come nearer than 3 cm to the open fingers. Objects and resting poses are those that the jaws can take
-    by geometry alone: an antipodal pair at most 9 cm wide, around which the open gripper has room, approached from at
-    most 70° off the vertical (`aerograsp_env.sim.manipulation.jaw_room`).
+    mass begins 0.16 m ahead of the arm's base and 0.49 m below it (aquiles: 0.15 and 0.46 m), ± 4, 4 and 2 cm
+    (combined: ± 8, 8 and 3 cm), lower where it would come nearer than 3 cm to the open fingers. Objects and resting
+    poses are those that the jaws can take by geometry alone: an antipodal pair at most 9 cm wide, around which the open
+    gripper has room, approached from at most 70° off the vertical (`aerograsp_env.sim.manipulation.jaw_room`).
 
     Reset options: "object", the name of one of the environment's objects or families; "wind_direction" [rad].
 
