@@ -205,7 +205,8 @@ def test_default_rows(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_ctrl_c_ends_a_run_with_one_line() -> None:
-    code = (
+    code = (  # a shell's background jobs ignore the signal: heed it, as on a terminal
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import baselines.policies, toy_env; baselines.policies.POLICIES = toy_env.POLICIES\n"
         "from agents.cli import main; print('ready', flush=True)\n"
         "raise SystemExit(main(['eval', toy_env.TOY, '--episodes', '100000', '--num-envs', '1']))"
@@ -214,9 +215,12 @@ def test_ctrl_c_ends_a_run_with_one_line() -> None:
     process = subprocess.Popen(
         [sys.executable, "-c", code], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None and process.stdout.readline() == "ready\n"
-    time.sleep(2.0)
-    process.send_signal(signal.SIGINT)
-    _, error = process.communicate(timeout=20)
+    try:
+        assert process.stdout is not None and process.stdout.readline() == "ready\n"
+        time.sleep(2.0)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=20)
+    finally:
+        process.kill()
     assert process.returncode == 130
     assert error == "aerograsp eval: interrupted\n"
