@@ -209,7 +209,7 @@ class _Shots:
         begun = state is not None and int(state["step"]) > 0
         if record is not None:  # of a task of arms
             return float(record["distance"]) if begun and "distance" in record.dtype.names else None
-        if begun:
+        if state is not None and begun:
             return float(np.linalg.norm(state["true_error"]))
         error = observation.get("position_error")
         return None if error is None else float(np.linalg.norm(error))
