@@ -5,6 +5,7 @@ World i equals the single environment reset with seed + i, to the last bit: both
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
@@ -61,7 +62,7 @@ class Setup(NamedTuple):
     check_options: Callable[[dict[str, Any] | None], dict[str, Any]]  # of reset
 
 
-class BatchedEnv(VectorEnv):
+class BatchedEnv(VectorEnv, ABC):
     """N worlds at a time (`gymnasium.make_vec(id, num_envs=N)`): options, spaces and results as of the single one.
 
     Args:
@@ -71,9 +72,9 @@ class BatchedEnv(VectorEnv):
         threads: worker threads; default one a core.
     """
 
+    @abstractmethod
     def _setup(self, options: dict[str, Any], threads: int | None) -> Setup:
         """The worlds that `options` mean; `num_envs` and `reward_mode` are set."""
-        raise NotImplementedError
 
     def __init__(
         self,

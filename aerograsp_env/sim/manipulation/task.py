@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -39,7 +40,7 @@ class Episode:
         return self.data.qpos[first : first + int(self.parameters["joints"][arm])]
 
 
-class Task:
+class Task(ABC):
     """A task over `Worlds`. Subclasses fill in the names and `begin`, and give the compiled `evaluate`.
 
     `evaluate(parameters, states, records, noise, cursors, active, stepped, bounds, slots, observations, terms, metrics,
@@ -62,9 +63,9 @@ class Task:
     def __init__(self, config: ManipulationConfig) -> None:
         self.config = config
 
+    @abstractmethod
     def reward_terms(self, reward_mode: str) -> tuple[str, ...]:
         """Names of the terms that make up the reward."""
-        raise NotImplementedError
 
     def pieces(self) -> Sequence[Piece]:
         """What the task adds to the scene of every world."""
@@ -81,9 +82,9 @@ class Task:
         """
         return None
 
+    @abstractmethod
     def begin(self, episode: Episode) -> None:
         """Draw and place what the task is about."""
-        raise NotImplementedError
 
     def mark(self, record: np.void, state: np.void) -> NDArray[np.float64] | None:
         """(3,) world position of a target to be shown in pictures, or None."""
