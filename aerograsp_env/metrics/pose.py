@@ -51,6 +51,20 @@ def rotation_error(T_estimate: ArrayLike, T_true: ArrayLike, symmetries: ArrayLi
     return np.arctan2(np.linalg.norm(axial, axis=-1), np.trace(D, axis1=-2, axis2=-1) - 1.0).min(axis=-1)
 
 
+def count_jumps(track: ArrayLike, angle: float = np.radians(30.0)) -> int:
+    """How often consecutive poses (N, 4, 4) of one object at rest are turned by more than `angle` [rad]; N ≥ 1.
+
+    A symmetric object's estimate that flips from one of its indistinguishable poses to another shows as a jump: one
+    counts jumps of the raw rotation, with no symmetries forgiven. Poses are in a frame in which the object rests.
+    """
+    track = check_transform(track, "track")
+    if track.ndim != 3 or not len(track):
+        raise ValueError(f"track: expected shape (N, 4, 4) with N ≥ 1, got {track.shape}")
+    if not 0.0 < angle < np.pi:
+        raise ValueError(f"angle: expected a value in (0, π) rad, got {angle}")
+    return int((rotation_error(track[1:], track[:-1]) > angle).sum()) if len(track) > 1 else 0
+
+
 def chamfer_distance(a: ArrayLike, b: ArrayLike) -> float:
     """½ (mean over a of the distance to the nearest point of b + the same from b to a) [m]; a (N, 3), b (M, 3)."""
     a, b = as_rows(a, 3, "a"), as_rows(b, 3, "b")
