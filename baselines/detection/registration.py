@@ -1,0 +1,200 @@
+"""Fine registration of one cloud to another: point-to-plane ICP, generalised ICP, and ICP with colours."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import small_gicp
+from numpy.typing import ArrayLike, NDArray
+
+from aerograsp_env.spatial import check_transform
+from baselines.detection.checks import check_points, check_positive
+from baselines.detection.spacing import cloud_size, point_spacing
+from baselines.objects.point_cloud import PointCloudObject
+
+Array = NDArray[np.float64]
+Method = Literal["icp", "gicp", "color"]
+
+LEAST = 10
+"""Fewest points (and fewest pairs) that a registration is made from."""
+NEIGHBORS = 10
+"""Points that make a normal or a covariance."""
+KINDS = {"icp": "PLANE_ICP", "gicp": "GICP"}
+
+
+class RegistrationResult(NamedTuple):
+    """What a registration found, and how far to trust it."""
+
+    T_target_source: Array  # (4, 4) maps source to target coordinates; NaN where not `converged`
+    converged: bool  # the iteration came to rest, and enough of the source lies on the target
+    rmse: float  # [m] of the inliers' distances to the nearest target point; NaN without inliers
+    inlier_fraction: float  # of the source's points that have a target point within the gate
+    iterations: int
+
+
+class Scales(NamedTuple):
+    """Lengths [m] that a registration works with."""
+
+    resolution: float  # edge of the voxels that the clouds are thinned by
+    reach: float  # largest distance of a pair while the start is rough
+    gate: float  # the same at the end
+
+
+def default_scales(source: Array, target: Array) -> Scales:
+    """Scales of the clouds themselves: their density, and the size of the smaller one.
+
+    Raises:
+        ValueError: a cloud whose points all coincide.
+    """
+    sizes = {"source": cloud_size(source), "target": cloud_size(target)}
+    for name, size in sizes.items():
+        if size <= 0.0:
+            raise ValueError(f"{name}: expected points that differ, got all at one place")
+    size = min(sizes.values())
+    spacing = max(point_spacing(source), point_spacing(target))
+    resolution = max(spacing, 0.01 * size)
+    return Scales(resolution, max(0.15 * size, 3.0 * resolution), 3.0 * resolution)
+
+
+def failed(rmse: float = np.nan, inlier_fraction: float = 0.0, iterations: int = 0) -> RegistrationResult:
+    """A result without a pose."""
+    return RegistrationResult(np.full((4, 4), np.nan), False, rmse, inlier_fraction, iterations)
+
+
+def register(
+    source: Any,
+    target: Any,
+    T_init: ArrayLike | None = None,
+    method: Method = "icp",
+    *,
+    resolution: float | None = None,
+    reach: float | None = None,
+    gate: float | None = None,
+    min_inlier_fraction: float = 0.3,
+    max_iterations: int = 50,
+) -> RegistrationResult:
+    """The rigid motion that lays one cloud on another (thesis, section 3.3), from a rough start.
+
+    "icp" minimises distances to the target's tangent planes (Chen & Medioni 1992), "gicp" those between the two
+    surfaces (Segal, Haehnel & Thrun 2009), both by small_gicp: first a coarse cloud with far-reaching pairs, then all
+    of it with near ones. "color" pairs points by place and colour and passes the pairs through four rejectors.
+
+    Args:
+        source, target: (N, 3) [m], or a `PointCloudObject` ("color" needs its colours). The source must lie on the
+            target, at least in part.
+        T_init: (4, 4) rough T_target_source; None: the identity.
+        method: see above.
+        resolution, reach, gate: [m] edge of the voxels that thin the clouds, and the largest distance of a pair at
+            first and at last. None: from the clouds' own size and density.
+        min_inlier_fraction: the smallest share of the source on the target that counts as success.
+        max_iterations: of each of the two stages.
+
+    Returns:
+        The pose and its quality. Where it failed, `converged` is false and the pose is NaN.
+
+    Raises:
+        ValueError: clouds of fewer than ten points or with values that are not finite, a start that is not rigid, or
+            arguments out of range.
+    """
+    if method not in ("icp", "gicp", "color"):
+        raise ValueError(f'method: expected "icp", "gicp" or "color", got {method!r}')
+    if not 0.0 <= min_inlier_fraction <= 1.0:
+        raise ValueError(f"min_inlier_fraction: expected a fraction in [0, 1], got {min_inlier_fraction}")
+    if max_iterations < 1:
+        raise ValueError(f"max_iterations: expected at least 1, got {max_iterations}")
+    moving, fixed = points_of(source, "source"), points_of(target, "target")
+    start = np.eye(4) if T_init is None else check_transform(T_init, "T_init")
+    if start.ndim != 2:
+        raise ValueError(f"T_init: expected shape (4, 4), got {start.shape}")
+    given = {"resolution": resolution, "reach": reach, "gate": gate}
+    given = {name: check_positive(value, name) for name, value in given.items() if value is not None}
+    scales = Scales(**given) if len(given) == 3 else default_scales(moving, fixed)._replace(**given)  # type: ignore[arg-type]
+    return _register_shapes(moving, fixed, start, method, scales, min_inlier_fraction, max_iterations)
+
+
+def points_of(cloud: Any, name: str) -> Array:
+    """The points (N, 3) of an array or a `PointCloudObject`."""
+    return check_points(cloud.points if isinstance(cloud, PointCloudObject) else cloud, name, LEAST)
+
+
+def _register_shapes(
+    moving: Array,
+    fixed: Array,
+    start: Array,
+    method: str,
+    scales: Scales,
+    least_fraction: float,
+    max_iterations: int,
+) -> RegistrationResult:
+    near = _crop(fixed, moving @ start[:3, :3].T + start[:3, 3], 2.0 * scales.reach)
+    if len(near) < LEAST:
+        return failed()
+    target, tree = _prepared(near, scales.resolution)
+    source, _ = _prepared(moving, scales.resolution)
+    coarse = _thinned(moving, max(3.0 * scales.resolution, scales.reach / 5.0))
+    size = cloud_size(moving)
+    T, iterations = start, 0
+    stages = [(source, scales.gate)]
+    if scales.reach > scales.gate:
+        stages.insert(0, (coarse, scales.reach))
+    for cloud, distance in stages:
+        step = 1e-3 * scales.resolution
+        found = small_gicp.align(
+            target,
+            cloud,
+            tree,
+            T,
+            registration_type=KINDS[method],
+            max_correspondence_distance=distance,
+            max_iterations=max_iterations,
+            rotation_epsilon=step / size,
+            translation_epsilon=step,
+        )
+        iterations += int(found.iterations)
+        # small_gicp reports success where it found no pair at all, with the pose that it was given.
+        if found.num_inliers < LEAST or not np.isfinite(found.T_target_source).all():
+            return failed(iterations=iterations)
+        T = np.array(found.T_target_source)
+    rmse, fraction = _fit(T, source, tree, scales.gate)
+    if not found.converged or fraction < least_fraction:
+        return failed(rmse, fraction, iterations)
+    return RegistrationResult(T, True, rmse, fraction, iterations)
+
+
+def _crop(points: Array, around: Array, margin: float) -> Array:
+    """The points inside a cloud's bounding box, widened by a margin [m]."""
+    low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
+    if (points.min(axis=0) >= low).all() and (points.max(axis=0) <= high).all():
+        return points
+    return points[((points >= low) & (points <= high)).all(axis=1)]
+
+
+def _prepared(points: Array, resolution: float) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
+    """A cloud thinned by voxels, with normals and covariances, and its tree; not thinned if too little would be left."""
+    cloud = _thinned(points, resolution)
+    tree = small_gicp.KdTree(cloud)
+    small_gicp.estimate_normals_covariances(cloud, tree, NEIGHBORS)
+    return cloud, tree
+
+
+def _thinned(points: Array, resolution: float) -> small_gicp.PointCloud:
+    low = points.min(axis=0)
+    if (np.ptp(points, axis=0) / resolution < 2**20).all() and (np.abs(low) / resolution < 2**20).all():
+        cloud = small_gicp.voxelgrid_sampling(points, resolution)
+        if cloud.size() >= LEAST:
+            return cloud
+    return small_gicp.PointCloud(points)
+
+
+def _fit(
+    T: Array, source: small_gicp.PointCloud, tree: small_gicp.KdTree, gate: float, looks: int = 2000
+) -> tuple[float, float]:
+    """Root mean square [m] of the distances within the gate, and the share of the source that has one."""
+    points = np.asarray(source.points())[:, :3]
+    points = points[:: max(1, len(points) // looks)]
+    _, squared = tree.batch_knn_search(points @ T[:3, :3].T + T[:3, 3], 1)
+    squared = np.asarray(squared).reshape(-1)
+    near = squared <= gate * gate
+    rmse = float(np.sqrt(squared[near].mean())) if near.any() else np.nan
+    return rmse, float(near.mean())
