@@ -1,4 +1,4 @@
-"""Pinhole cameras of a MuJoCo model: its own, and one that orbits a point."""
+"""Pinhole cameras of a MuJoCo model: its own, one that orbits a point, and any other."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from aerograsp_env.interfaces import Intrinsics
+from aerograsp_env.spatial import CAMERA_FROM_MUJOCO, as_array, check_transform, transform
 
 
 @dataclass(frozen=True)
@@ -47,9 +50,6 @@ class FreeCamera:
                 raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
 
 
-Camera = str | int | FreeCamera
-
-
 class View(NamedTuple):
     """A placed pinhole. Camera axes are MuJoCo's: x right, y up, looking along −z."""
 
@@ -61,6 +61,42 @@ class View(NamedTuple):
     cy: float  # [px], from its top edge
 
 
+Camera = str | int | FreeCamera | View
+
+
+class Frame(NamedTuple):
+    """What one look shows."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3) sRGB
+    depth: NDArray[np.float32]  # (H, W) [m] along the optical axis, 0 where there is no return
+    geom: NDArray[np.int32]  # (H, W) id of the geom, −1 where there is none
+
+
+def pose_view(T_world_camera: ArrayLike, intrinsics: Intrinsics) -> View:
+    """The view of a camera at any pose.
+
+    Args:
+        T_world_camera: (4, 4), with OpenCV's camera frame: x right, y down, z forward.
+        intrinsics: without distortion; the centre of the top left pixel is (0, 0).
+
+    Raises:
+        ValueError: a matrix that is not rigid, or intrinsics with distortion, which is not drawn.
+    """
+    T = check_transform(as_array(T_world_camera, (4, 4), "T_world_camera"), "T_world_camera")
+    if T.ndim != 2:
+        raise ValueError(f"T_world_camera: expected shape (4, 4), got {T.shape}")
+    if intrinsics.distortion is not None and np.any(intrinsics.distortion):
+        raise ValueError("intrinsics: expected a camera without distortion, which is not drawn")
+    R_w_c = T[:3, :3] @ CAMERA_FROM_MUJOCO[:3, :3]
+    f = (intrinsics.fx, intrinsics.fy, intrinsics.cx + 0.5, intrinsics.cy + 0.5)
+    return View(T[:3, 3].copy(), R_w_c, *f)
+
+
+def view_pose(view: View) -> NDArray[np.float64]:
+    """T_world_camera (4, 4) of a view, with OpenCV's camera frame."""
+    return transform(view.R_w_c @ CAMERA_FROM_MUJOCO[:3, :3], view.position)
+
+
 def camera_id(model: mujoco.MjModel, camera: Any) -> int:
     names = [model.camera(i).name for i in range(model.ncam)]
     if isinstance(camera, str):
@@ -68,13 +104,15 @@ def camera_id(model: mujoco.MjModel, camera: Any) -> int:
             raise ValueError(f"camera {camera!r} is not in the model; it has {names or 'none'}")
         return names.index(camera)
     if isinstance(camera, bool) or not isinstance(camera, int | np.integer):
-        raise ValueError(f"camera must be a name, an id or a FreeCamera, got {camera!r}")
+        raise ValueError(f"camera must be a name, an id, a FreeCamera or a View, got {camera!r}")
     if not 0 <= camera < model.ncam:
         raise ValueError(f"camera id must lie in [0, {model.ncam}), got {camera}; names: {names}")
     return int(camera)
 
 
 def camera_view(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, width: int, height: int) -> View:
+    if isinstance(camera, View):
+        return camera
     if isinstance(camera, FreeCamera):
         ca, sa = np.cos(camera.azimuth), np.sin(camera.azimuth)
         ce, se = np.cos(camera.elevation), np.sin(camera.elevation)

@@ -10,192 +10,154 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aerograsp_env.sim.cameras import Camera, View, camera_view, open_model
-from aerograsp_env.sim.shading import (
-    GROUND_LIGHT,
-    SKY_LIGHT,
-    encode_srgb,
-    geom_colors,
-    gloss,
-    point_of_sun,
-    read_texture,
-    sky,
-    sunlight_of,
-    texture_repeat,
-)
+from aerograsp_env.sim import ray_kernel as kernel
+from aerograsp_env.sim.cameras import Camera, Frame, View, camera_view, open_model
+from aerograsp_env.sim.ray_textures import Covers, lay_textures, mesh_frames, read_textures
+from aerograsp_env.sim.shading import SRGB_OF_LINEAR, Sky, geom_colors, gloss, lights_of, sky_of
 
 Array = NDArray[Any]
-
-_SUN_DISTANCE = 5e3  # [m]; far enough for parallel rays (0.1° over 10 m), near enough for 1e-7 m in double precision
-_SHADOW_BIAS = 1e-5  # [m]
-_HAZE_LENGTH = 40.0  # [m] at which a surface has lost 63 % of its contrast
 
 
 class _Hits(NamedTuple):
     geom: NDArray[np.int32]  # (N,), −1 for a miss
     distance: NDArray[np.float64]  # (N,) in lengths of the ray's direction
-    normal: NDArray[np.float64]  # (3, N) world, unit; (3, 0) if not asked for
+    normal: NDArray[np.float64]  # (N, 3) world, unit; (0, 3) if not asked for
 
 
-class _Frame(NamedTuple):
+class _Scene(NamedTuple):
     """What stays the same over the passes of one picture."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
     view: View
     rgba: NDArray[np.float32]  # (ngeom, 4), linear RGB and opacity
-    texture: NDArray[np.intp]  # (ngeom,) index of the 2-D texture, or −1
+    gloss: NDArray[np.float32]  # (ngeom, 2)
+    covers: Covers
+    sky: Sky
 
 
 class RayRenderer:
     """Renderer by ray casting; see `aerograsp_env.sim.rendering`.
 
-    A 480×360 picture of a checkered floor and ten primitives, one of them translucent, takes about 75 ms on one
-    core of a 2020s server CPU (320 ms with `samples` = 2), its depth image 16 ms, and a 64×64 picture 2.2 ms.
-
     While a picture with translucent geoms is drawn, those geoms are hidden in the model, and shown again after:
     threads that share one model must not draw it or cast rays in it at the same time.
     """
+
+    backend = "ray"
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int, samples: int, groups: NDArray[np.uint8]):
         self.width, self.height = width, height
         self._model: mujoco.MjModel | None = model
         self._samples = samples
         self._groups = groups
-        self._textures = [read_texture(model, i) for i in range(model.ntex)]
+        self._textures = read_textures(model)
+        self._meshes = (
+            mesh_frames(model) if model.ntex else (np.empty((0, 3, 3)), np.empty((0, 3)), np.empty((0, 2, 3)))
+        )
 
     def close(self) -> None:
         """Drop the model; drawing afterwards raises RuntimeError."""
         self._model = None
 
-    def depth(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.float32]:
-        """Depth (H, W) along the optical axis [m], 0 where there is no return."""
+    def frame(self, data: mujoco.MjData, camera: Camera, *, depth_only: bool = False) -> Frame:
+        """Colour, depth and geom ids of one look, from one cast of rays through the pixels' centres.
+
+        With `samples` > 1 the colours come from samples² casts; depth and ids are those of the centres.
+
+        Args:
+            data: with its kinematics up to date.
+            camera: a camera of the model, a `FreeCamera`, or any `View`.
+            depth_only: leave the colours black, which saves shading and shadows.
+        """
         model = open_model(self._model, data)
         view = camera_view(model, data, camera, self.width, self.height)
-        # Every direction has length 1 along the optical axis, so ray parameters are depths.
-        hits = self._cast(model, data, view.position, self._directions(view, 0.5, 0.5), normals=False)
-        return np.where(hits.geom >= 0, hits.distance, 0.0).astype(np.float32).reshape(self.height, self.width)
+        shape = (self.height, self.width)
+        if depth_only or self._samples > 1:
+            hits = self._cast(model, data, view.position, self._rays(view, 0.5, 0.5), normals=False)
+            rgb = np.zeros((*shape, 3), np.uint8) if depth_only else self._picture(model, data, view)
+        else:
+            rays = self._rays(view, 0.5, 0.5)
+            hits = self._cast(model, data, view.position, rays)
+            rgb = self._encode(self._colors(self._scene(model, data, view), rays, hits, 0), 1)
+        return Frame(rgb, kernel.depth_of(hits.geom, hits.distance).reshape(shape), hits.geom.reshape(shape))
+
+    def depth(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.float32]:
+        """Depth (H, W) along the optical axis [m], 0 where there is no return."""
+        return self.frame(data, camera, depth_only=True).depth
 
     def render(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.uint8]:
         """Colour picture (H, W, 3), sRGB."""
         model = open_model(self._model, data)
-        view = camera_view(model, data, camera, self.width, self.height)
-        frame = _Frame(model, data, view, *geom_colors(model, self._textures))
-        sun, sunlight = sunlight_of(model, data)
-        picture = np.zeros((3, self.height * self.width), dtype=np.float32)
-        passes = self._samples**2
-        for i in range(passes):
-            row, column = divmod(i, self._samples)
-            rays = self._directions(view, (column + 0.5) / self._samples, (row + 0.5) / self._samples)
-            picture += self._colors(frame, rays, point_of_sun(sun, i, passes), sunlight)
-        return encode_srgb(picture / np.float32(passes)).T.reshape(self.height, self.width, 3)
+        return self._picture(model, data, camera_view(model, data, camera, self.width, self.height))
 
-    # From here to the end of the class vectors are (3, N): numpy is several times faster on long rows.
+    def _picture(self, model: mujoco.MjModel, data: mujoco.MjData, view: View) -> NDArray[np.uint8]:
+        scene, n = self._scene(model, data, view), self._samples
+        picture = np.zeros((self.height * self.width, 3), dtype=np.float32)
+        for i in range(n * n):
+            row, column = divmod(i, n)
+            rays = self._rays(view, (column + 0.5) / n, (row + 0.5) / n)
+            picture += self._colors(scene, rays, self._cast(model, data, view.position, rays), i)
+        return self._encode(picture, n * n)
 
-    def _directions(self, view: View, u: float, v: float) -> Array:
-        """World directions (3, H·W) through the point (u, v) of each pixel."""
-        x = (np.arange(self.width) + (u - view.cx)) / view.fx
-        y = (view.cy - v - np.arange(self.height)) / view.fy
-        x_axis, y_axis, z_axis = view.R_w_c.T[:, :, None, None]
-        return (y[:, None] * y_axis + (x * x_axis - z_axis)).reshape(3, -1)
+    def _encode(self, linear: Array, passes: int) -> NDArray[np.uint8]:
+        picture = np.empty((self.height, self.width, 3), np.uint8)
+        kernel.encode(linear, 1.0 / passes, SRGB_OF_LINEAR, picture.reshape(-1, 3))
+        return picture
+
+    def _scene(self, model: mujoco.MjModel, data: mujoco.MjData, view: View) -> _Scene:
+        covers = lay_textures(model, data, self._textures, self._meshes)
+        return _Scene(model, data, view, geom_colors(model), gloss(model), covers, sky_of(model))
+
+    def _rays(self, view: View, u: float, v: float) -> Array:
+        """World directions (H·W, 3) through the point (u, v) of each pixel; ray parameters are depths."""
+        return kernel.pixel_rays(self.width, self.height, view.R_w_c, view.fx, view.fy, view.cx - u, view.cy - v)
 
     def _cast(
         self, model: mujoco.MjModel, data: mujoco.MjData, origin: Array, rays: Array, normals: bool = True
     ) -> _Hits:
-        count = rays.shape[1]
+        count = len(rays)
         geom, distance, normal = np.empty(count, np.int32), np.empty(count), np.empty((count if normals else 0, 3))
         if count:
             mujoco.mj_multiRay(
-                *(model, data, origin, rays.T.ravel(), self._groups, True, -1),
+                *(model, data, origin, rays.ravel(), self._groups, True, -1),
                 *(geom, distance, normal.ravel() if normals else None, count, mujoco.mjMAXVAL),
             )
-        return _Hits(geom, distance, normal.T)
+        return _Hits(geom, distance, normal)
 
-    def _colors(self, frame: _Frame, rays: Array, sun: Array, sunlight: Array) -> Array:
-        """Linear colours (3, N) that come along the rays from the camera."""
-        hits = self._cast(frame.model, frame.data, frame.view.position, rays)
-        alpha = frame.rgba[:, 3]
+    def _colors(self, scene: _Scene, rays: Array, hits: _Hits, index: int) -> NDArray[np.float32]:
+        """Linear colours (N, 3) that come along the rays from the camera, in pass `index`."""
+        alpha = scene.rgba[:, 3]
         clear = np.flatnonzero((alpha > 0.0) & (alpha < 1.0))
         if not clear.size:
-            return self._shade(frame, rays, hits, sun, sunlight)
+            return self._shade(scene, rays, hits, index)
         # What is translucent casts no shadow; behind it everything is cast again without it.
         through = np.flatnonzero(np.isin(hits.geom, clear))
-        with _hidden(frame.model, clear):
-            color = self._shade(frame, rays, hits, sun, sunlight)
-            behind = self._cast(frame.model, frame.data, frame.view.position, rays[:, through])
-            back = self._shade(frame, rays[:, through], behind, sun, sunlight)
-        color[:, through] = back + alpha[hits.geom[through]] * (color[:, through] - back)
+        with _hidden(scene.model, clear):
+            color = self._shade(scene, rays, hits, index)
+            if through.size:
+                behind = self._cast(scene.model, scene.data, scene.view.position, rays[through])
+                back = self._shade(scene, rays[through], behind, index)
+                color[through] = back + alpha[hits.geom[through], None] * (color[through] - back)
         return color
 
-    def _shade(self, frame: _Frame, rays: Array, hits: _Hits, sun: Array, sunlight: Array) -> Array:
-        model = frame.model
-        length = np.sqrt(_dot(rays, rays))
-        color = sky(rays[2] / length)
-        seen = np.flatnonzero(hits.geom >= 0)
-        rays, length, geom, distance = rays[:, seen], length[seen], hits.geom[seen], hits.distance[seen]
-        point = frame.view.position[:, None] + distance * rays
-        albedo = frame.rgba.T[:3].take(geom, axis=1)
-        self._paint_checkers(frame, geom, rays, distance, albedo)
-
-        to_camera = (rays / -length).astype(np.float32)
-        normal = hits.normal[:, seen].astype(np.float32)
-        normal = np.ascontiguousarray(normal) * np.sign(_dot(normal, to_camera))
-        sun_direction = sun[:, None].astype(np.float32)
-        cosine = _dot(normal, sun_direction)
-        lit = np.flatnonzero(cosine > 0)
-        # The sun is a far point, because rays cast together start at one point. A lit surface is the first thing met.
-        source = model.stat.center + _SUN_DISTANCE * sun
-        first = self._cast(model, frame.data, source, point[:, lit] - source[:, None], normals=False)
-        lit = lit[(first.geom < 0) | (first.distance > 1.0 - _SHADOW_BIAS / _SUN_DISTANCE)]
-
-        light = GROUND_LIGHT + (0.5 + 0.5 * normal[2]) * (SKY_LIGHT - GROUND_LIGHT)
-        direct = np.zeros(len(seen), dtype=np.float32)
-        direct[lit] = cosine[lit]
-        surface = albedo * (light + direct * sunlight)
-        strength, exponent = gloss(model)
-        lit = lit[strength[geom[lit]] > 0]
-        halfway = to_camera[:, lit] + sun_direction  # Blinn 1977
-        spread = _dot(normal[:, lit], halfway) / np.sqrt(_dot(halfway, halfway))
-        surface[:, lit] += strength[geom[lit]] * spread.clip(0.0) ** exponent[geom[lit]] * sunlight
-        haze = -np.expm1(-((distance * length / _HAZE_LENGTH).astype(np.float32) ** 2))
-        color[:, seen] = surface + haze * (color[:, seen] - surface)
+    def _shade(self, scene: _Scene, rays: Array, hits: _Hits, index: int) -> NDArray[np.float32]:
+        view = scene.view
+        steps = view.R_w_c[:, :2].T / (np.array([[view.fx], [view.fy]]) * self._samples)
+        color, albedo, point = kernel.shade(
+            *(rays, hits.geom, hits.distance, hits.normal, view.position, steps),
+            *(scene.rgba, scene.covers, self._textures, scene.sky),
+        )
+        lights = lights_of(scene.model, scene.data, index, self._samples**2)
+        for i in range(len(lights.kind)):
+            rows, to, strength = kernel.reach(lights, i, hits.geom, point, hits.normal)
+            cast = rows.size > 0 and bool(lights.shadow[i])
+            first = self._cast(scene.model, scene.data, lights.source[i], to if cast else to[:0], normals=False)
+            kernel.add_light(
+                *(color, albedo, rays, hits.geom, hits.normal, rows, to, strength),
+                *(first.geom, first.distance, lights.color[i], scene.gloss),
+            )
+        kernel.add_haze(color, rays, hits.geom, hits.distance, scene.sky)
         return color
-
-    def _paint_checkers(self, frame: _Frame, geom: Array, rays: Array, distance: Array, albedo: Array) -> None:
-        """Multiply the checker pattern into the `albedo` (3, N) of planes, averaged over each ray's footprint."""
-        model, data, view = frame.model, frame.data, frame.view
-        for plane in np.flatnonzero((frame.texture >= 0) & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE))):
-            contrast = self._textures[frame.texture[plane]].contrast
-            on = np.flatnonzero(geom == plane)
-            if contrast is None or not on.size:
-                continue
-            R_p_w = data.geom_xmat[plane].reshape(3, 3).T
-            ray, depth = _rotate(R_p_w, rays[:, on]), distance[on]  # in the plane's frame
-            eye = R_p_w @ (view.position - data.geom_xpos[plane])
-            steps = R_p_w @ view.R_w_c[:, :2] / (np.array([view.fx, view.fy]) * self._samples)  # to the next rays
-            wave = np.ones(len(on))
-            repeat, start = texture_repeat(model, int(plane))
-            for axis in (0, 1):
-                u = (eye[axis] + depth * ray[axis] - start[axis]) * repeat[axis]  # the texture's period is 1
-                slope = ray[axis] / ray[2]
-                width = sum(np.abs(step[axis] - slope * step[2]) for step in steps.T) * depth * abs(repeat[axis])
-                # A square wave's integral is a triangle wave, so its mean over a box is a difference of two of them.
-                wave *= (_triangle(u + 0.5 * width) - _triangle(u - 0.5 * width)) / np.maximum(width, 1e-9)
-            albedo[:, on] *= (1.0 + wave * contrast).astype(np.float32)
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _rotate(R: Array, v: Array) -> Array:
-    """R @ v for v (3, N); BLAS would wake all its threads for it and gain nothing."""
-    return R[:, :1] * v[0] + R[:, 1:2] * v[1] + R[:, 2:] * v[2]
-
-
-def _triangle(u: Array) -> Array:
-    """Integral of the square wave that is +1 on the first half of each period of 1 and −1 on the second."""
-    return 0.5 - np.abs(u - np.floor(u) - 0.5)
 
 
 @contextmanager

@@ -9,12 +9,15 @@ Both put the same pinhole camera at the same place: pixel (u, v) looks through i
 axis is the camera's −z (MuJoCo's convention: x right, y up), square pixels of focal length
 f = (H / 2) / tan(fovy / 2) px, unless the camera has a sensor size, when its own intrinsics are used.
 
-The ray backend's light is one sun (the model's first active light, or a default one) with exact shadows, a sky that
-is brighter than the ground, a faint highlight and haze. Shading is done in linear light and encoded as sRGB. It
+The ray backend draws materials, image textures on any geom (`aerograsp_env.sim.ray_textures` says how they lie), all
+active lights (directional, spot, point, with MuJoCo's attenuation, cut-off and exponent) with exact shadows, a sky that
+is brighter than the ground, a faint highlight and haze. A model without active lights gets a sun. The headlight's
+ambient scales the light of the sky, from none at 0 to full day at 0.1 (MuJoCo's default) and above; its diffuse and
+specular parts are left out. Shading is done in linear light and encoded as sRGB. It
 follows MuJoCo's rules for colour (a material's, unless the geom has its own), groups and visibility, and reads the
-model at each call, so a change of ``model.geom_rgba`` or of a mocap pose shows in the next picture.
-It leaves out: sites, tendons, flexes, skins; textures, of which only the mean colour is used except for a checker on
-a plane; more than one translucent layer.
+model at each call, so a change of ``model.geom_rgba``, of a light or of a mocap pose shows in the next picture;
+textures are read once.
+It leaves out: sites, tendons, flexes, skins; texture coordinates of meshes; more than one translucent layer.
 """
 
 from __future__ import annotations
@@ -28,16 +31,18 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from aerograsp_env.sim.cameras import Camera, FreeCamera, camera_id, open_model
+from aerograsp_env.sim.cameras import Camera, Frame, FreeCamera, View, camera_id, camera_view, open_model
 from aerograsp_env.sim.ray_renderer import RayRenderer
 
 __all__ = [
     "BACKENDS",
     "Camera",
+    "Frame",
     "FreeCamera",
     "GLRenderer",
     "RayRenderer",
     "Renderer",
+    "View",
     "check_picture",
     "make_renderer",
 ]
@@ -50,6 +55,10 @@ class Renderer(Protocol):
 
     width: int
     height: int
+    backend: str  # one of BACKENDS
+
+    def frame(self, data: mujoco.MjData, camera: Camera, *, depth_only: bool = False) -> Frame:
+        """Colour, depth and geom ids of one look; colours are black if `depth_only`."""
 
     def render(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.uint8]:
         """Colour picture (H, W, 3), sRGB."""
@@ -109,6 +118,8 @@ class GLRenderer:
         RuntimeError: OpenGL does not work here; the message says what to install or set.
     """
 
+    backend = "gl"
+
     def __init__(self, model: mujoco.MjModel, width: int, height: int, groups: NDArray[np.uint8]):
         self.width, self.height = width, height
         self._model: mujoco.MjModel | None = model
@@ -122,18 +133,28 @@ class GLRenderer:
             self._renderer.close()
         self._renderer, self._model = None, None
 
+    def frame(self, data: mujoco.MjData, camera: Camera, *, depth_only: bool = False) -> Frame:
+        """Colour, depth and geom ids of one look, from three renderings (two if `depth_only`)."""
+        kinds = ("depth", "segmentation") if depth_only else ("depth", "segmentation", "rgb")
+        images = dict(zip(kinds, self._draw(data, camera, kinds), strict=True))
+        ids, types = np.moveaxis(images["segmentation"], -1, 0)
+        geom = np.where(types == int(mujoco.mjtObj.mjOBJ_GEOM), ids, -1).astype(np.int32)
+        rgb = np.zeros((self.height, self.width, 3), np.uint8) if depth_only else images["rgb"]
+        return Frame(rgb, self._with_misses(images["depth"]), geom)
+
     def depth(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.float32]:
         """Depth (H, W) along the optical axis [m], 0 where there is no return (or it is beyond MuJoCo's far plane)."""
-        depth = self._draw(data, camera, depth=True)
-        far = np.float32(self._renderer.model.vis.map.zfar * self._renderer.model.stat.extent)
-        depth[depth >= far * np.float32(1 - 1e-4)] = 0.0
-        return depth
+        return self._with_misses(self._draw(data, camera, ("depth",))[0])
 
     def render(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.uint8]:
         """Colour picture (H, W, 3), sRGB."""
-        return self._draw(data, camera, depth=False)
+        return self._draw(data, camera, ("rgb",))[0]
 
-    def _draw(self, data: mujoco.MjData, camera: Camera, depth: bool) -> NDArray[Any]:
+    def _with_misses(self, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+        far = np.float32(self._renderer.model.vis.map.zfar * self._renderer.model.stat.extent)
+        return np.where(depth >= far * np.float32(1 - 1e-4), np.float32(0.0), depth)
+
+    def _draw(self, data: mujoco.MjData, camera: Camera, kinds: Sequence[str]) -> list[NDArray[Any]]:
         model = open_model(self._model, data)
         renderer = self._start(model)
         fovy = model.vis.global_.fovy
@@ -145,18 +166,36 @@ class GLRenderer:
                 view.distance = camera.distance
                 view.azimuth, view.elevation = np.rad2deg([camera.azimuth, camera.elevation])
                 model.vis.global_.fovy = np.rad2deg(camera.fovy)  # the only place MuJoCo takes a free camera's from
+            elif isinstance(camera, View):
+                view = mujoco.MjvCamera()
             else:
                 view = camera_id(model, camera)
             renderer.update_scene(data, view, self._option)
+            if isinstance(camera, View):
+                self._place(renderer.scene, camera_view(model, data, camera, self.width, self.height))
         finally:
             model.vis.global_.fovy = fovy
-        if not depth:
-            return renderer.render()
-        renderer.enable_depth_rendering()
-        try:
-            return renderer.render()
-        finally:
-            renderer.disable_depth_rendering()
+        images = []
+        for kind in kinds:
+            try:
+                if kind == "depth":
+                    renderer.enable_depth_rendering()
+                elif kind == "segmentation":
+                    renderer.enable_segmentation_rendering()
+                images.append(renderer.render())
+            finally:
+                renderer.disable_depth_rendering()
+                renderer.disable_segmentation_rendering()
+        return images
+
+    def _place(self, scene: mujoco.MjvScene, view: View) -> None:
+        """Put the scene's cameras (one an eye; the picture is their mean) at any pose, with any intrinsics."""
+        for eye in scene.camera:
+            eye.pos, eye.forward, eye.up = view.position, -view.R_w_c[:, 2], view.R_w_c[:, 1]
+            near = eye.frustum_near
+            eye.frustum_top, eye.frustum_bottom = near * view.cy / view.fy, -near * (self.height - view.cy) / view.fy
+            eye.frustum_center = near * (0.5 * self.width - view.cx) / view.fx
+            eye.frustum_width = near * 0.5 * self.width / view.fx
 
     def _start(self, model: mujoco.MjModel) -> Any:
         if self._renderer is None:
