@@ -78,7 +78,7 @@ def _wave(u):
 
 
 @compiled
-def _paint(covers, pyramids, geom, point, normal, ray, depth, steps, eye, color):
+def _paint(covers, pyramids, geom, point, normal, ray, depth, steps, color):
     """Multiply the texture of `geom` at `point` (3,) into `color` (3,).
 
     ray (3,): from the camera, of length 1 along its axis; steps (2, 3): from it to the next rays across and down.
@@ -119,7 +119,7 @@ def _paint(covers, pyramids, geom, point, normal, ray, depth, steps, eye, color)
     # Seen at an angle a pixel is long on the surface: the middle between its sides is neither blurred nor noisy.
     pitch = depth * math.sqrt(step / max(abs(cosine) / math.sqrt(length), 0.02))  # [m] a pixel spans
     image = pyramids.first[texture]
-    if kind == _PLANE or kind == _BOX:
+    if kind in (_PLANE, _BOX):
         axis = 2
         if kind == _BOX:
             axis = 0 if abs(n[0]) >= abs(n[1]) and abs(n[0]) >= abs(n[2]) else (1 if abs(n[1]) >= abs(n[2]) else 2)
@@ -179,7 +179,7 @@ def shade(rays, geom, distance, normal, view, steps, rgba, covers, pyramids, sky
             point[i, k] = view[k] + distance[i] * rays[i, k]
             own[k] = rgba[g, k]
         if covers.kind[g] != 0:
-            _paint(covers, pyramids, g, point[i], normal[i], rays[i], distance[i], steps, view, own)
+            _paint(covers, pyramids, g, point[i], normal[i], rays[i], distance[i], steps, own)
         up = 0.5 + 0.5 * normal[i, 2]
         for k in range(3):
             albedo[i, k] = own[k]

@@ -90,7 +90,9 @@ def read_textures(model: mujoco.MjModel) -> Pyramids:
     return Pyramids(
         np.concatenate(texels) if texels else np.zeros((1, 3), np.float32),
         np.array(levels, np.int64).reshape(-1, _LEVELS, 3),
-        *(np.array(x, np.int64) for x in (count, first, faces)),
+        np.array(count, np.int64),
+        np.array(first, np.int64),
+        np.array(faces, np.int64),
         np.array(cube, np.bool_),
         contrast,
         mean,

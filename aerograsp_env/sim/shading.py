@@ -85,7 +85,7 @@ def sky_of(model: mujoco.MjModel) -> Sky:
     day = (np.asarray(head.ambient, dtype=np.float64) / _FULL_AMBIENT).clip(0.0, 1.0) if head.active else np.zeros(3)
     lamps = model.light_ambient[np.flatnonzero(model.light_active)].sum(axis=0, dtype=np.float64)
     lamps *= _SKY_LIGHT[1] / _FULL_AMBIENT
-    return Sky(*(day * part for part in (_ZENITH, _HORIZON)), day * _SKY_LIGHT + lamps, day * _GROUND_LIGHT + lamps)
+    return Sky(day * _ZENITH, day * _HORIZON, day * _SKY_LIGHT + lamps, day * _GROUND_LIGHT + lamps)
 
 
 def lights_of(model: mujoco.MjModel, data: mujoco.MjData, index: int = 0, count: int = 1) -> Lights:
