@@ -3,11 +3,12 @@
 In the order in which it happens: the projector's shadow (what only one of the two eyes sees has no depth), lateral
 jitter, normal noise of the disparity and its quantisation, lost pixels at grazing angles and at random, the range.
 
-Depth z has the disparity k / z (k is focal length times baseline). Normal noise of the disparity with a constant σ gives
-depth a σ quadratic in z, and steps of disparity give steps of depth quadratic in z (Khoshelham & Elberink 2012, "Accuracy
-and resolution of Kinect depth data", eqs. 9 and 11). Their Kinect: σ_z = 1.425 mm · z², steps of 2.85 mm · z².
-The lateral jitter follows Nguyen, Izadi & Lovell 2012, "Modeling Kinect sensor noise", and the order of jitter, noise and
-quantisation Barron & Malik 2013, "Intrinsic scene properties from a single RGB-D image".
+Depth z has the disparity k / z (k is focal length times baseline). Normal noise of the disparity with a constant σ
+gives depth a σ quadratic in z, and steps of disparity give steps of depth quadratic in z (Khoshelham & Elberink 2012,
+"Accuracy and resolution of Kinect depth data for indoor mapping applications"). Their Kinect: σ_z = 1.425 mm · z²,
+steps of 2.85 mm · z². The lateral jitter follows Nguyen, Izadi & Lovell 2012, "Modeling Kinect sensor noise for improved
+3D reconstruction and tracking", and the order of jitter, noise and quantisation Barron & Malik 2013, "Intrinsic scene
+properties from a single RGB-D image".
 """
 
 from __future__ import annotations
@@ -115,8 +116,8 @@ def _measure(depth, chance, normal, focal, settings, grazing_start, grazing_limi
                 if chance[1, v, u] < (angle - grazing_start) / (grazing_limit - grazing_start):
                     continue
             if jitter > 0.0:
-                row = min(max(int(math.floor(v + jitter * normal[0, v, u] + 0.5)), 0), height - 1)
-                column = min(max(int(math.floor(u + jitter * normal[1, v, u] + 0.5)), 0), width - 1)
+                row = min(max(math.floor(v + jitter * normal[0, v, u] + 0.5), 0), height - 1)
+                column = min(max(math.floor(u + jitter * normal[1, v, u] + 0.5), 0), width - 1)
                 other = depth[row, column]
                 if other <= 0.0:
                     continue

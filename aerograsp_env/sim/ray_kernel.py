@@ -60,7 +60,7 @@ def _texel(pyramids, image, level, u, v, k):
 @compiled
 def _read(pyramids, image, u, v, footprint, color):
     """Multiply the image's colour at (u, v) into `color`; `footprint`: how many texels of level 0 a pixel spans."""
-    top = pyramids.count[image] - 1
+    top = pyramids.depths[image] - 1
     level = min(max(math.log2(max(footprint, 1e-9)), 0.0), float(top))
     first = min(int(level), top)
     part = level - first

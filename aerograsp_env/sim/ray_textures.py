@@ -39,7 +39,7 @@ class Pyramids(NamedTuple):
 
     texels: NDArray[np.float32]  # (P, 3) linear RGB, images one after another, row by row from the top
     levels: NDArray[np.int64]  # (images, levels, 3): first texel, height, width
-    count: NDArray[np.int64]  # (images,) of levels
+    depths: NDArray[np.int64]  # (images,) how many levels each has
     first: NDArray[np.int64]  # (textures,) first image
     faces: NDArray[np.int64]  # (textures,) images: 1 or 6
     cube: NDArray[np.bool_]  # (textures,)
@@ -63,7 +63,9 @@ class Covers(NamedTuple):
 def read_textures(model: mujoco.MjModel) -> Pyramids:
     """All textures of a model."""
     texels: list[Array] = []
-    levels, count, first, faces, cube = [], [], [], [], []
+    levels: list[Array] = []
+    depths: list[int] = []
+    first, faces, cube = [], [], []
     contrast, mean = np.zeros((model.ntex, 3), np.float32), np.zeros((model.ntex, 3), np.float32)
     total = 0
     for index in range(model.ntex):
@@ -76,7 +78,7 @@ def read_textures(model: mujoco.MjModel) -> Pyramids:
         mean[index] = image.mean(axis=(0, 1))
         if kind == int(mujoco.mjtTexture.mjTEXTURE_2D):
             mean[index], contrast[index] = _checker(image, mean[index])
-        first.append(len(count))
+        first.append(len(depths))
         faces.append(6 if cube[-1] and height == 6 * width else 1)
         for face in image.reshape(faces[-1], -1, width, 3):
             pyramid = _halve(face)
@@ -86,11 +88,11 @@ def read_textures(model: mujoco.MjModel) -> Pyramids:
                 texels.append(part.reshape(-1, 3))
                 total += len(texels[-1])
             levels.append(row)
-            count.append(len(pyramid))
+            depths.append(len(pyramid))
     return Pyramids(
         np.concatenate(texels) if texels else np.zeros((1, 3), np.float32),
         np.array(levels, np.int64).reshape(-1, _LEVELS, 3),
-        np.array(count, np.int64),
+        np.array(depths, np.int64),
         np.array(first, np.int64),
         np.array(faces, np.int64),
         np.array(cube, np.bool_),
