@@ -82,7 +82,7 @@ def test_a_grasp_that_misses_is_let_go_and_tried_again(env):
         """Believes until the first miss that the object stands 6 cm higher."""
 
         def step(self, r, pilot):
-            if pilot is None or not pilot.failed:
+            if pilot is None or not pilot.attempts:
                 lifted = r.T_body_object.copy()
                 lifted[2, 3] += 0.06
                 r = r._replace(T_body_object=lifted)
@@ -91,7 +91,7 @@ def test_a_grasp_that_misses_is_let_go_and_tried_again(env):
     flight = Blind(ONE.flight.arms, ONE.flight.planner)
     phases, info, _, state = fly(env, GraspPolicy(flight), 10000, 1000)
     assert Phase.RELEASE in phases and phases.index(Phase.RETREAT) < len(phases) - 1
-    assert len(state[0].failed) >= 1
+    assert len(state[0].attempts) >= 1
     assert info["success"], (phases, info)
 
 

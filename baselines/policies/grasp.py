@@ -15,7 +15,7 @@ from baselines.kinematics.servo import ServoSettings
 from baselines.kinematics.tracking import TrackSettings
 from baselines.policies.grasp_pilot import Flight
 from baselines.policies.grasp_reading import read
-from baselines.policies.grasp_state import Manoeuvre, Pilot, PilotSettings
+from baselines.policies.grasp_state import Attempt, Manoeuvre, Pilot, PilotSettings
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]
@@ -63,12 +63,12 @@ class SinglePlanner:
     def __init__(self, planner: GraspPlanner, friction: float = FRICTION) -> None:
         self.planner, self.friction = planner, friction
 
-    def __call__(self, scene: Scene, failed: tuple[Array, ...]) -> Manoeuvre | None:
+    def __call__(self, scene: Scene, attempts: tuple[Attempt, ...]) -> Manoeuvre | None:
         """The manoeuvre, or None if nothing can be done."""
         grasps = self.planner.plan(scene, self.friction).grasps
         if not grasps:
             return None
-        scores = [grasp.score - FAILED_COST * sum(alike(grasp.T_object_grasp, T) for T in failed) for grasp in grasps]
+        scores = [grasp.score - FAILED_COST * failures(grasp.T_object_grasp, attempts) for grasp in grasps]
         index = int(np.argmax(scores))
         return Manoeuvre((grasps[index],), grasps[index].T_level_object, grasps, index)
 
@@ -77,6 +77,11 @@ def alike(T: Array, other: Array) -> bool:
     """Whether two grasps (4, 4) of an object are nearly the same, fingers swapped or not."""
     near = np.linalg.norm(T[:3, 3] - other[:3, 3]) < FAILED_NEAR
     return bool(near and T[:3, 2] @ other[:3, 2] > FAILED_TURN)
+
+
+def failures(T: Array, attempts: tuple[Attempt, ...]) -> int:
+    """How many attempts with nearly this grasp (4, 4) failed."""
+    return sum(alike(T, attempt.grasp.T_object_grasp) for attempt in attempts)
 
 
 def grasp_dls(

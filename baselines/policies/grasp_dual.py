@@ -15,9 +15,9 @@ from baselines.grasping.on_bars import grasps_on_bars
 from baselines.grasping.scenes import Scene
 from baselines.kinematics.servo import ServoSettings
 from baselines.kinematics.tracking import TrackSettings
-from baselines.policies.grasp import FAILED_COST, FRICTION, GraspPolicy, alike
+from baselines.policies.grasp import FAILED_COST, FRICTION, GraspPolicy, failures
 from baselines.policies.grasp_pilot import Flight
-from baselines.policies.grasp_state import Manoeuvre, PilotSettings
+from baselines.policies.grasp_state import Attempt, Manoeuvre, PilotSettings
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class CrawlerPlanner:
         self.surface = crawler_surface()
         self.jaws = planner.mounts[0].arm.gripper.jaws
 
-    def __call__(self, scene: Scene, failed: tuple[Array, ...]) -> Manoeuvre | None:
+    def __call__(self, scene: Scene, attempts: tuple[Attempt, ...]) -> Manoeuvre | None:
         """The manoeuvre, or None if nothing can be done."""
         T = inverse(scene.T_level_object)
         support = transform_points(T, scene.support), T[:3, :3] @ scene.up
@@ -53,7 +53,7 @@ class CrawlerPlanner:
         pairs = self.planner.plan(scene, self.friction, handles).grasps
         if not pairs:
             return None
-        scores = [pair.score - FAILED_COST * sum(alike(pair.right.T_object_grasp, T) for T in failed) for pair in pairs]
+        scores = [pair.score - FAILED_COST * failures(pair.right.T_object_grasp, attempts) for pair in pairs]
         best = pairs[int(np.argmax(scores))]
         return Manoeuvre((best.right, best.left), best.T_level_object)
 

@@ -21,13 +21,13 @@ from baselines.kinematics.servo import ServoSettings, joint_rates, servo_rates, 
 from baselines.kinematics.tracking import TrackSettings, attitude_matrix, start_track, update_track
 from baselines.policies.grasp_margins import depth_after, height_over
 from baselines.policies.grasp_reading import Hand, Reading
-from baselines.policies.grasp_state import LIMITS, Manoeuvre, Phase, Pilot, PilotSettings
+from baselines.policies.grasp_state import LIMITS, Attempt, Manoeuvre, Phase, Pilot, PilotSettings
 
 Array = NDArray[np.float64]
 
 
-Planner = Callable[[Scene, tuple[Array, ...]], Manoeuvre | None]
-"""From a scene and the grasps T_object_grasp (4, 4) of the first arm that failed before."""
+Planner = Callable[[Scene, tuple[Attempt, ...]], Manoeuvre | None]
+"""From a scene and what has failed before."""
 
 
 class Flight:
@@ -70,8 +70,9 @@ class Flight:
         n = len(self.arms)
         seat = track.points[1] - track.at
         return Pilot(
-            track, Phase.LOOK, 0, None, seat, 0.0, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, 0, (), 0, 0.0
-        )
+            track, Phase.LOOK, 0, None, seat, 0.0, self.settings.back, np.zeros((n, 4, 4)), 0.0, 0, 0, (), None,
+            np.zeros(3), 0, 0.0,
+        )  # fmt: skip
 
     def _follow(self, r: Reading, p: Pilot) -> Pilot:
         track = update_track(p.track, r.T_body_object, r.support[1:], r.age, r.rpy, r.velocity, self.track_settings)
@@ -89,8 +90,9 @@ class Flight:
         if p.phase == Phase.LOOK:
             return self._plan(r, p) if time >= s.look else p
         if p.phase == Phase.TRANSIT:
-            apart = np.linalg.norm(self._base_error(p, p.above))
-            ready = apart < s.near and self._postured(r, p)
+            x, y, z = self._base_error(p, 0.0)
+            # once in posture, the arms may come down from any height: after a retreat there is no need to climb
+            ready = np.hypot(x, y) < s.near and -s.near < -z < p.above + s.near and self._postured(r, p)
             return self._go(p, Phase.ALIGN) if ready or late else p
         if p.phase == Phase.ALIGN and self._high(p):
             return p._replace(since=0)
@@ -100,7 +102,7 @@ class Flight:
             p = p._replace(settled=p.settled + 1 if good else 0)
             if p.settled >= 3:
                 return self._go(p, Phase.APPROACH)
-            return self._give_up(p) if late else self._reconsider(p)
+            return self._give_up(r, p) if late else self._reconsider(p)
         if p.phase == Phase.APPROACH:
             return self._approach(r, p, late)
         if p.phase == Phase.CLOSE:
@@ -110,7 +112,7 @@ class Flight:
                 hand.opening < s.held * grasp.width - 0.001 for hand, grasp in zip(r.hands, p.grasps, strict=True)
             )
             p = p._replace(height=min(p.height + s.lift_speed * s.step, s.lift), settled=p.settled + 1 if empty else 0)
-            return self._give_up(p) if p.settled >= 10 else p
+            return self._give_up(r, p) if p.settled >= 10 else p
         if p.phase == Phase.RELEASE:
             return self._go(p, Phase.RETREAT) if time > 0.5 else p
         return self._go(p, Phase.LOOK, manoeuvre=None) if time > 0.8 else p  # RETREAT
@@ -124,15 +126,15 @@ class Flight:
         # the support's normal errs with the object's rotation, which has been filtered: keep them together
         up = p.track.rotation @ (r.T_body_object[:3, :3].T @ r.support[0])
         scene = Scene(T, r.cloud[:, :3], r.cloud[:, 3:], seat, up / np.linalg.norm(up))
-        manoeuvre = self.planner(scene, p.failed)
+        manoeuvre = self.planner(scene, p.attempts)
         if manoeuvre is None:
-            return p._replace(since=0, failed=())
+            return p._replace(since=0, attempts=())
         wanted = seat + manoeuvre.T_level_object[:3, 3] - T[:3, 3]
         s, angles = self.settings, [hand.q for hand in r.hands]
         deeper = min(depth_after(p.misses, scene, grasp, s) for grasp in manoeuvre.hands)
         above = height_over(scene, manoeuvre, self.arms, angles, s)
         changes: dict[str, Any] = {"seat": wanted, "above": above, "travel": s.back, "height": 0.0, "deeper": deeper}
-        return self._go(p, Phase.TRANSIT, manoeuvre=manoeuvre, **changes)
+        return self._go(p, Phase.TRANSIT, manoeuvre=manoeuvre, scene=scene, **changes)
 
     def _reconsider(self, p: Pilot) -> Pilot:
         """Another grasp of the plan, where the one that is being done has left the arm's workspace."""
@@ -158,8 +160,8 @@ class Flight:
         if p.settled < 3 and not late:
             return p
         if travel > s.nearly:
-            return self._give_up(p)
-        return self._go(p, Phase.CLOSE, anchors=self._anchors(p))
+            return self._give_up(r, p)
+        return self._go(p, Phase.CLOSE, anchors=self._anchors(p), moved=self._moved(r, p))
 
     def _close(self, r: Reading, p: Pilot, late: bool) -> Pilot:
         s = self.settings
@@ -167,13 +169,16 @@ class Flight:
         p = p._replace(settled=p.settled + 1 if all(grips) else 0)
         full = [hand.opening > s.held * grasp.width for hand, grasp in zip(r.hands, p.grasps, strict=True)]
         if not all(full):
-            return self._give_up(p._replace(misses=p.misses + 1))
+            return self._give_up(r, p._replace(misses=p.misses + 1))
         if p.settled < 5 and not late:
             return p
-        return self._go(p, Phase.LIFT) if all(hand.load > 0.3 * s.stalled for hand in r.hands) else self._give_up(p)
+        return self._go(p, Phase.LIFT) if all(hand.load > 0.3 * s.stalled for hand in r.hands) else self._give_up(r, p)
 
-    def _give_up(self, p: Pilot) -> Pilot:
-        return self._go(p, Phase.RELEASE, failed=(*p.failed, p.grasps[0].T_object_grasp))
+    def _give_up(self, r: Reading, p: Pilot) -> Pilot:
+        assert p.scene is not None  # there is a manoeuvre
+        moved = p.moved if p.phase in (Phase.CLOSE, Phase.LIFT) else self._moved(r, p)
+        attempt = Attempt(p.scene, p.grasps[0], moved, p.phase, r.hands[0].opening)
+        return self._go(p, Phase.RELEASE, attempts=(*p.attempts, attempt))
 
     # --- where things are ---------------------------------------------------------------------------------------------
 
@@ -204,6 +209,11 @@ class Flight:
             anchors[k, :3, :3] = p.track.attitude @ T[:3, :3]
             anchors[k, :3, 3] = p.track.attitude @ (T[:3, 3] - p.track.point(1))
         return anchors
+
+    def _moved(self, r: Reading, p: Pilot) -> Array:
+        """(3,) of the first tool from its grasp, by the estimate, in the grasp's frame [m]."""
+        T = p.track.pose @ p.grasps[0].T_object_grasp
+        return np.asarray(T[:3, :3].T @ (r.hands[0].tool[:3, 3] - T[:3, 3]))
 
     def _tool_error(self, r: Reading, p: Pilot) -> tuple[float, float]:
         """The largest distance [m] and angle [rad] of a tool from its target."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.grasping.reaching import Reached
+from baselines.grasping.scenes import Scene
 from baselines.kinematics.tracking import Track
 
 Array = NDArray[np.float64]
@@ -37,6 +38,16 @@ class Manoeuvre(NamedTuple):
     chosen: int = 0  # of the grasp in it
 
 
+class Attempt(NamedTuple):
+    """A manoeuvre that was given up."""
+
+    scene: Scene  # that it was planned in
+    grasp: Reached  # of the first arm
+    moved: Array  # (3,) of that tool from its grasp when the jaws began to close, or at the end: grasp's frame [m]
+    ended: Phase  # in which it was given up: LIFT, if the object slipped
+    opening: float  # of the jaws then [m]
+
+
 class Pilot(NamedTuple):
     """What is remembered of one episode."""
 
@@ -51,7 +62,9 @@ class Pilot(NamedTuple):
     height: float  # by which the base was told to lift [m]
     settled: int  # steps in a row for which the phase's aim has been met
     stuck: int  # steps in a row for which the tools have come no nearer on the approach
-    failed: tuple[Array, ...]
+    attempts: tuple[Attempt, ...]  # that failed
+    scene: Scene | None  # that the manoeuvre was planned in
+    moved: Array  # (3,) of the first tool from its grasp when the jaws began to close: grasp's frame [m]
     misses: int  # how often the jaws closed on nothing
     deeper: float  # than planned that the tools go, along their approach axes [m]
 
