@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
+import functools
+
+import manifold3d
 import numpy as np
 
 from aerograsp_env.sim.objects.crawler import pipe_crawler
 from aerograsp_env.sim.visual import looks, solids
 from aerograsp_env.sim.visual.looks import Look
 from aerograsp_env.sim.visual.objects import STEP, Draw, Shape, only, times, turns
-from aerograsp_env.sim.visual.solids import Solid, lathe, loft, smooth_path, tube
+from aerograsp_env.sim.visual.solids import Solid, lathe, loft, tube
 
-ALUMINIUM = Look((0.75, 0.76, 0.78), None, 0.5, 0.5)
-PRINT = Look((0.80, 0.10, 0.12), "label", 0.3, 0.4)
-
-
-def _printed(rng: np.random.Generator) -> Look:
-    look = looks.plastic(rng)
-    texture = str(rng.choice(["label", "label", "stripes", "cloud", "photo"])) if rng.random() < 0.9 else None
-    return look._replace(texture=texture, specular=float(rng.uniform(0.0, 0.5)))
-
-
-def _cardboard(rng: np.random.Generator) -> Look:
-    if rng.random() < 0.5:
-        return _printed(rng)
-    value = rng.uniform(0.5, 0.9)
-    color = (value, value * rng.uniform(0.7, 0.85), value * rng.uniform(0.45, 0.65))
-    return Look(color, str(rng.choice(["cloud", "label", "ribs"])), 0.02, 0.1, int(rng.integers(2**31)))
+ALUMINIUM = Look((0.75, 0.76, 0.78), None, 0.5, 0.5, 0, "aluminium")
+PRINT = Look((0.80, 0.10, 0.12), "label", 0.3, 0.4, 0, "printed")
 
 
 def can(draw: Draw) -> Shape:
@@ -38,8 +27,8 @@ def can(draw: Draw) -> Shape:
     for side in (-1.0, 1.0):
         edge = [(0.5 * h - 0.004, rim * r), (0.5 * h, rim * r), (0.5 * h, 0.92 * rim * r), (0.5 * h - 0.0025, 0.88 * rim * r)]
         ends.append(lathe([(side * z, radius) for z, radius in edge], axis=2, sides=STEP))
-    metal = draw.look(ALUMINIUM, lambda rng: Look((g := float(rng.uniform(0.55, 0.9)), g, g), "cloud", 0.5, 0.6, int(rng.integers(2**31))))
-    print_ = draw.look(PRINT, _printed) if not draw.chance(0.1) else metal
+    metal = draw.look(ALUMINIUM, looks.aluminium)
+    print_ = draw.look(PRINT, looks.printed) if not draw.chance(0.1) else metal
     parts = ((wall, print_), (ends[0], metal), (ends[1], metal))
     return Shape(parts, times(turns(2, STEP), turns(0, 2)), "can", (0.0, 0.0, 0.0))
 
@@ -48,7 +37,7 @@ def juice_box(draw: Draw) -> Shape:
     """A carton: a gable with a cap, or a brick with a straw."""
     kind = draw.pick("gable", "brick", "brick")
     x, y, z = draw.size(0.062, 0.045, 0.075), draw.size(0.042, 0.032, 0.055), draw.size(0.100, 0.08, 0.15)
-    look = draw.look(Look((0.95, 0.60, 0.10), "label", 0.3, 0.4), _printed)
+    look = draw.look(Look((0.95, 0.60, 0.10), "label", 0.3, 0.4), looks.printed)
     body = solids.box((x, y, z))
     cap_look = draw.look(Look((0.1, 0.5, 0.2), None, 0.3, 0.4), looks.plastic)
     if kind == "gable":
@@ -78,7 +67,7 @@ def box(draw: Draw) -> Shape:
     """A carton, a matchbox or a block: three different sides, so that half turns alone leave it the same."""
     sides = sorted((draw.size(0.16, 0.05, 0.24), draw.size(0.11, 0.035, 0.16), draw.size(0.06, 0.02, 0.11)), reverse=True)
     x, y, z = sides[0], min(sides[1], 0.93 * sides[0]), min(sides[2], 0.93 * sides[1])
-    look = draw.look(Look((0.72, 0.55, 0.36), "label", 0.05, 0.1), _cardboard)
+    look = draw.look(Look((0.72, 0.55, 0.36), "label", 0.05, 0.1), looks.cardboard)
     parts = [(solids.box((x, y, z)), look)]
     if draw.chance(0.3):  # a strip of tape all round
         t = 0.0003
@@ -99,42 +88,31 @@ def fruit(draw: Draw) -> Shape:
     if kind == "orange":
         tall = draw.size(0.95, 0.88, 1.04)
         profile = [(tall * r * z, r * c) for c, z in zip(ring, height, strict=True)]
-        parts = [(lathe(profile, axis=2, sides=STEP), draw.look(Look((0.95, 0.50, 0.08), "speckle"), _fruit(0.05, 0.11)))]
+        parts = [(lathe(profile, axis=2, sides=STEP), draw.look(Look((0.95, 0.50, 0.08), "speckle"), looks.peel))]
         return Shape(tuple(parts), times(group, turns(0, 2)), kind, (0.0, 0.0, 0.0))
     if kind == "lemon":
         r *= 0.75
         tall = draw.size(1.25, 1.15, 1.4)
         profile = [(tall * r * z * (1.0 + 0.16 * abs(z) ** 6), r * c) for c, z in zip(ring, height, strict=True)]
-        parts = [(lathe(profile, axis=2, sides=STEP), draw.look(Look((0.95, 0.85, 0.15), "speckle"), _fruit(0.12, 0.22)))]
+        parts = [(lathe(profile, axis=2, sides=STEP), draw.look(Look((0.95, 0.85, 0.15), "speckle"), looks.peel))]
         return Shape(tuple(parts), times(group, turns(0, 2)), kind, (0.0, 0.0, 0.0))
     if kind == "pear":
         tall, neck = draw.size(1.35, 1.2, 1.55), draw.size(0.5, 0.42, 0.6)
         shape = [(tall * r * z, r * c * (1.0 - (1.0 - neck) * max(0.0, 0.5 * (z + 0.6)) ** 1.5)) for c, z in zip(ring, height, strict=True)]
-        look = draw.look(Look((0.70, 0.75, 0.25), "cloud"), _fruit(0.12, 0.3))
+        look = draw.look(Look((0.70, 0.75, 0.25), "cloud"), looks.peel)
         top = tall * r
     else:
         dip, tall = draw.size(0.28, 0.15, 0.35), draw.size(0.92, 0.8, 1.05)
         shape = [
             (tall * r * (z - dip * np.exp(-((c / 0.32) ** 2)) * np.sign(z)), r * c * (1.0 + 0.07 * z)) for c, z in zip(ring, height, strict=True)
         ]
-        look = draw.look(Look((0.75, 0.12, 0.10), "cloud"), _fruit(-0.04, 0.3))
+        look = draw.look(Look((0.75, 0.12, 0.10), "cloud"), looks.peel)
         top = tall * r * (1.0 - dip)
     parts = [(lathe(shape, axis=2, sides=STEP), look)]
     if kind == "apple" or not draw.chance(0.3):
         stem = lathe([(top - 0.004, 0.0015), (top + draw.size(0.016, 0.008, 0.022), 0.002)], axis=2, sides=STEP)
         parts.append((stem, stem_look))
     return Shape(tuple(parts), group, kind, (0.0, 0.0, None))
-
-
-def _fruit(low: float, high: float):  # type: ignore[no-untyped-def]  # a maker of looks
-    import colorsys
-
-    def maker(rng: np.random.Generator) -> Look:
-        color = colorsys.hsv_to_rgb(rng.uniform(low, high) % 1.0, rng.uniform(0.55, 0.95), rng.uniform(0.5, 1.0))
-        texture = str(rng.choice(["cloud", "speckle"]))
-        return Look(color, texture, float(rng.uniform(0.0, 0.4)), float(rng.uniform(0.2, 0.6)), int(rng.integers(2**31)))
-
-    return maker
 
 
 def _banana(draw: Draw) -> Shape:
@@ -144,38 +122,27 @@ def _banana(draw: Draw) -> Shape:
     wide = np.interp(t, [-1.0, -0.93, -0.75, -0.3, 0.4, 0.75, 0.88, 1.0], [0.3, 0.55, 0.85, 1.0, 1.0, 0.75, 0.35, 0.25])
     body = tube(line, np.column_stack([r * wide, r * wide]), sides=draw.pick(10, 7, 6))
     stand = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # x → y, y → z, z → x
-    look = draw.look(Look((0.92, 0.80, 0.20), "cloud"), _fruit(0.12, 0.24))
+    look = draw.look(Look((0.92, 0.80, 0.20), "cloud"), looks.peel)
     return Shape(((body.moved(rotation=stand), look),), only(), "banana")
 
 
 def crawler(draw: Draw) -> Shape:
     """The inspection robot of `aerograsp_env.sim.objects.crawler`: one shape, a third of a turn leaves it the same."""
-    item = pipe_crawler()
-    shell = Look((0.18, 0.20, 0.24), None, 0.2, 0.3)
-    handle = Look((0.90, 0.62, 0.08), None, 0.2, 0.3)
-    drive = Look((0.10, 0.10, 0.11), None, 0.1, 0.2)
-
-    def near(base: Look) -> Look:
-        def maker(rng: np.random.Generator) -> Look:
-            color = np.clip(np.asarray(base.rgb) * rng.uniform(0.75, 1.25) + rng.normal(0.0, 0.03, 3), 0.02, 1.0)
-            texture = "cloud" if rng.random() < 0.5 else None
-            return base._replace(rgb=tuple(map(float, color)), texture=texture, seed=int(rng.integers(2**31)))
-
-        return draw.look(base, maker)
-
-    groups = _crawler_pieces(item)
-    parts = tuple((solid, look) for (solid, look) in zip(groups, (near(drive), near(shell), near(handle)), strict=True))
+    drive, shell, handle = ((0.10, 0.10, 0.11), (0.18, 0.20, 0.24), (0.90, 0.62, 0.08))
+    parts = tuple(
+        (solid, draw.look(looks.painted(color), lambda rng, color=color: looks.painted(color, rng)))
+        for solid, color in zip(_crawler_pieces(), (drive, shell, handle), strict=True)
+    )
     return Shape(parts, turns(2, 3), "crawler", (0.0, 0.0, None))
 
 
-def _crawler_pieces(item) -> tuple[Solid, Solid, Solid]:  # type: ignore[no-untyped-def]
+@functools.cache
+def _crawler_pieces() -> tuple[Solid, ...]:
     """Drives, shell and handles, by where their pieces are."""
-    import manifold3d
-
     groups: list[list[manifold3d.Manifold]] = [[], [], []]
-    for piece in item.pieces:
+    for piece in pipe_crawler().pieces:
         groups[_group(piece.vertices)].append(solids.manifold_of(Solid(piece.vertices, piece.faces)))
-    return tuple(  # type: ignore[return-value]
+    return tuple(
         solids.solid_of(manifold3d.Manifold.batch_boolean(group, manifold3d.OpType.Add)) for group in groups
     )
 
@@ -184,6 +151,3 @@ def _group(vertices: np.ndarray) -> int:
     if vertices[:, 2].min() < 0.002:
         return 0
     return 2 if vertices[:, 2].max() > 0.1155 or np.linalg.norm(vertices[:, :2], axis=1).min() > 0.128 else 1
-
-
-__all__ = ["box", "can", "crawler", "fruit", "juice_box", "smooth_path"]

@@ -16,6 +16,7 @@ an axis of symmetry have it on that axis.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from aerograsp_env.sim.visual.looks import Look
+from aerograsp_env.sim.visual.looks import Look, another
 from aerograsp_env.sim.visual.solids import Solid
 
 Array = NDArray[np.float64]
@@ -229,6 +230,15 @@ def nominal_object(label: str) -> VisualObject:
         ValueError: an unknown label.
     """
     return finish(label, _builder(label)(Draw()))
+
+
+def recolored(item: VisualObject, rng: np.random.Generator) -> VisualObject:
+    """The same shape, each material in another look; parts that looked alike still do."""
+    new: dict[Look, Look] = {}
+    for part in item.parts:
+        if part.look not in new:
+            new[part.look] = another(part.look, rng)
+    return dataclasses.replace(item, parts=tuple(part._replace(look=new[part.look]) for part in item.parts))
 
 
 def random_object(label: str, rng: np.random.Generator, colors: bool = True) -> VisualObject:

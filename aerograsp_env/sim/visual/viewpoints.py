@@ -1,0 +1,81 @@
+"""From where a scene is seen: as a photographer sees tools on a bench, or as a vehicle that hovers beside them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.sim.visual.scenes import Scene
+from aerograsp_env.spatial import transform
+
+Array = NDArray[np.float64]
+
+
+class Viewpoint(NamedTuple):
+    """A camera's pose and vertical field of view."""
+
+    T_world_camera: Array  # (4, 4), OpenCV's axes
+    fovy: float  # [rad]
+
+
+def look_at(position: Array, target: Array, roll: float = 0.0) -> Array:
+    """T_world_camera (4, 4) of a camera at `position` that looks at `target`, its picture turned by `roll` [rad].
+
+    Without roll the picture is upright; looking straight down, its top is towards +y.
+    """
+    z = np.asarray(target, dtype=np.float64) - position
+    z /= np.linalg.norm(z)
+    up = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    x = np.cross(z, up)
+    x /= np.linalg.norm(x)
+    y = np.cross(z, x)
+    c, s = np.cos(roll), np.sin(roll)
+    return transform(np.column_stack([c * x + s * y, c * y - s * x, z]), position)
+
+
+def draw_viewpoint(scene: Scene, rng: np.random.Generator) -> Viewpoint:
+    """A viewpoint that suits the scene's style: 0.15–2 m away, never below the support."""
+    if scene.config.style == "studio":
+        return _studio(scene, rng)
+    elevation = np.radians(rng.uniform(22.0, 68.0))
+    distance, fovy = rng.uniform(0.6, 2.0), np.radians(rng.uniform(40.0, 62.0))
+    target = _target(scene, rng, 0.7) + rng.normal(0.0, 0.08, 3) * (1.0, 1.0, 0.2)
+    roll = rng.normal(0.0, np.radians(6.0))
+    return Viewpoint(look_at(_around(target, distance, elevation, rng), target, roll), float(fovy))
+
+
+def _studio(scene: Scene, rng: np.random.Generator) -> Viewpoint:
+    elevation = np.radians(rng.uniform(62.0, 89.5) if rng.random() < 0.7 else rng.uniform(22.0, 62.0))
+    fovy = np.radians(rng.uniform(30.0, 75.0))
+    if scene.objects and (len(scene.objects) == 1 or rng.random() < 0.3):  # one of them fills the picture
+        item = scene.objects[int(rng.integers(len(scene.objects)))]
+        target, size = item.T_world_object[:3, 3].copy(), 0.5 * item.object.diameter
+        target += rng.normal(0.0, 0.18 * size, 3) * (1.0, 1.0, 0.0)
+        fill = rng.uniform(0.45, 1.25)
+    else:
+        target, size = scene.center, _spread(scene)
+        target = target + rng.normal(0.0, 0.12 * size, 3) * (1.0, 1.0, 0.0)
+        fill = rng.uniform(0.5, 1.15)
+    distance = float(np.clip(size / np.tan(0.5 * fovy) / fill, 0.15, 2.0))
+    roll = rng.uniform(-np.pi, np.pi) if rng.random() < 0.6 else rng.normal(0.0, 0.1)
+    return Viewpoint(look_at(_around(target, distance, elevation, rng), target, roll), float(fovy))
+
+
+def _around(target: Array, distance: float, elevation: float, rng: np.random.Generator) -> Array:
+    azimuth = rng.uniform(-np.pi, np.pi)
+    flat = distance * np.cos(elevation)
+    return target + np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)])
+
+
+def _target(scene: Scene, rng: np.random.Generator, share: float) -> Array:
+    if scene.objects and rng.random() < share:
+        return scene.objects[int(rng.integers(len(scene.objects)))].T_world_object[:3, 3].copy()
+    return scene.center
+
+
+def _spread(scene: Scene) -> float:
+    """Radius [m] of a circle around the middle that holds all objects."""
+    reach = [np.linalg.norm(p.T_world_object[:2, 3] - scene.center[:2]) + 0.5 * p.object.diameter for p in scene.objects]
+    return float(max(reach, default=0.3))
