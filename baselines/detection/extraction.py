@@ -65,7 +65,7 @@ def check_image(image: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
     shaped = array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3)
     if array.dtype != np.uint8 or not shaped or not array.size:
         raise ValueError(f"{name}: expected uint8 of shape (H, W) or (H, W, 3), got {array.dtype} {array.shape}")
-    return array if array.ndim == 2 else cv2.cvtColor(array, cv2.COLOR_RGB2GRAY)
+    return array if array.ndim == 2 else np.asarray(cv2.cvtColor(array, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def extract(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaln
 
 from aerograsp_env.interfaces import Intrinsics
-from aerograsp_env.spatial import as_array, check_transform, se3_exp, skew, transform, transform_points
+from aerograsp_env.spatial import as_array, check_transform, skew, so3_exp, transform, transform_points
 
 Array = NDArray[np.float64]
 
@@ -103,7 +103,7 @@ def refine_pose(
         J[..., 3:] = -J[..., :3] @ skew(turned)
         H, g = np.einsum("nki,nkj->ij", J, J), np.einsum("nki,nk->i", J, r)
         step = np.linalg.lstsq(H + damping * np.diag(np.diag(H)), -g, rcond=None)[0]
-        R = se3_exp(np.concatenate([np.zeros(3), step[3:]]))[:3, :3] @ T[:3, :3]
+        R = so3_exp(step[3:]) @ T[:3, :3]
         moved = transform(R, T[:3, :3] @ center + T[:3, 3] + step[:3] - R @ center)
         new = residual(moved)
         if np.isfinite(new).all() and (new**2).sum() < (r**2).sum():
@@ -212,8 +212,8 @@ def _failure(count: int, reason: str) -> PnPResult:
     return PnPResult(None, np.zeros(count, dtype=bool), math.nan, None, reason)
 
 
-def _pose(rotation: Array, translation: Array) -> Array:
-    return transform(cv2.Rodrigues(np.asarray(rotation, dtype=np.float64))[0], np.ravel(translation))
+def _pose(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    return transform(so3_exp(np.ravel(rotation)), np.ravel(translation))
 
 
 def _errors(points: Array, pixels: Array, intrinsics: Intrinsics, T: Array) -> Array:
