@@ -171,7 +171,7 @@ def _crop(points: Array, around: Array, margin: float) -> Array:
 
 
 def _prepared(points: Array, resolution: float) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
-    """A cloud thinned by voxels, with normals and covariances, and its tree; not thinned if too little would be left."""
+    """A cloud thinned by voxels, with normals and covariances, and its tree."""
     cloud = _thinned(points, resolution)
     tree = small_gicp.KdTree(cloud)
     small_gicp.estimate_normals_covariances(cloud, tree, NEIGHBORS)
