@@ -40,7 +40,7 @@ def test_what_is_reported_comes_back(pose: bool) -> None:
 
 def test_the_whole_image_is_a_full_box_and_the_best_eight_are_kept() -> None:
     rng = np.random.default_rng(1)
-    whole = Detection("can", 1.0, np.array([-0.5, -0.5, 319.5, 239.5]))
+    whole = Detection("can", 1.0, np.array([0.0, 0.0, 320.0, 240.0]))
     row = code.detections_to_action([whole], CAMERA)[: code.SLOT_SIZE]
     np.testing.assert_array_equal(row[10:14], [-1, -1, 1, 1])
     np.testing.assert_array_equal(row[14:], 0.0)
@@ -76,7 +76,7 @@ def test_what_says_nothing_is_no_detection_or_no_pose() -> None:
     action[0], action[3], action[10:14] = 0.7, 0.1, (0.5, 0.5, -0.5, -0.5)  # corners in the other order
     (found,) = code.action_to_detections(action, CAMERA)
     assert found.label == CLASSES[2] and found.T_c_object is None
-    np.testing.assert_allclose(found.box, [79.5, 59.5, 239.5, 179.5])
+    np.testing.assert_allclose(found.box, [80, 60, 240, 180])
     action[17:23] = [0.2, 0, 0, 0.5, 0, 0]  # parallel axes
     assert code.action_to_detections(action, CAMERA)[0].T_c_object is None
     action[17:23] = [0.2, 0, 0, 0.5, 0.1, 0]  # made orthonormal

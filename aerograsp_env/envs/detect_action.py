@@ -1,4 +1,7 @@
-"""Detections as actions and images as observations: the layouts of Detect-v0, and the way back."""
+"""Detections as actions and images as observations: the layouts of Detect-v0, and the way back.
+
+Boxes are edges of pixels, of which the first reaches from 0 to 1; intrinsics count from the first pixel's centre.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +63,7 @@ def detections_to_action(detections: Sequence[Detection], intrinsics: Intrinsics
         row[_AT["presence"]] = max(detection.score, LEAST_SCORE)
         row[_AT["class"]] = -1.0
         row[CLASSES.index(detection.label) + 1] = 1.0
-        row[_AT["box"]] = np.clip((detection.box - _corner(intrinsics)) / _half(intrinsics) - 1.0, -1.0, 1.0)
+        row[_AT["box"]] = np.clip(detection.box / _half(intrinsics) - 1.0, -1.0, 1.0)
         if (T := detection.T_c_object) is not None:
             if np.abs(T[:3, 3]).max() > POSITION_SCALE:
                 raise ValueError(f"detections: expected positions within ±{POSITION_SCALE} m, got {T[:3, 3].tolist()}")
@@ -85,7 +88,7 @@ def action_to_detections(action: ArrayLike, intrinsics: Intrinsics) -> list[Dete
     found = []
     for row in np.clip(rows.reshape(-1, SLOT_SIZE), -1.0, 1.0):
         score = float(row[_AT["presence"]][0])
-        corners = (row[_AT["box"]] + 1.0) * _half(intrinsics) + _corner(intrinsics)
+        corners = (row[_AT["box"]] + 1.0) * _half(intrinsics)
         low, high = np.minimum(corners[:2], corners[2:]), np.maximum(corners[:2], corners[2:])
         if score <= 0.0 or not (low < high).all():
             continue
@@ -93,11 +96,6 @@ def action_to_detections(action: ArrayLike, intrinsics: Intrinsics) -> list[Dete
         pose = _pose(row[_AT["position"]] * POSITION_SCALE, row[_AT["rotation"]])
         found.append(Detection(label, score, np.concatenate([low, high]), pose))
     return sorted(found, key=lambda detection: -detection.score)
-
-
-def _corner(intrinsics: Intrinsics) -> Array:
-    """The image's upper left corner (4,), twice [px]: half a pixel before the centre of the first pixel."""
-    return np.full(4, -0.5)
 
 
 def _half(intrinsics: Intrinsics) -> Array:

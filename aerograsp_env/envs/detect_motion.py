@@ -12,9 +12,9 @@ from aerograsp_env.spatial import Array, inverse, matrix_from_rpy, so3_exp, tran
 MOTIONS = ("any", "hover", "pass", "orbit")
 DISTANCE = (0.9, 1.5)  # of the camera from what it looks at, when an episode begins [m]
 TILT = (0.6, 1.2)  # of the camera below the body's x axis, a gimbal's setting for the episode [rad]
-AIM = 0.08  # half-width of the square that the camera is aimed at, about the scene's middle [m]
+AIM = 0.08  # half-width of the square that the camera is aimed at, about the target [m]
 PASS_SPEED = (0.10, 0.30)  # sideways [m/s]
-ORBIT_RATE = (0.10, 0.30)  # about the scene's middle [rad/s]
+ORBIT_RATE = (0.10, 0.30)  # about the target [rad/s]
 RAMP = 0.5  # from rest to full speed [s]
 CAMERA_PLACE = (0.12, 0.0, -0.10)  # on the airframe, body frame [m]
 
@@ -34,10 +34,10 @@ def camera_mount(tilt: float) -> Array:
     return transform(so3_exp([0.0, tilt, 0.0]) @ level, CAMERA_PLACE)
 
 
-def draw_start(motion: str, middle: Array, duration: float, rng: np.random.Generator) -> Start:
-    """A view of the scene's `middle` (3,) [m, world] from a drawn side and height, and a motion that keeps it in view.
+def draw_start(motion: str, target: Array, duration: float, rng: np.random.Generator) -> Start:
+    """A view of a `target` (3,) [m, world] from a drawn side and height, and a motion that keeps it in view.
 
-    A pass is centred on the view of the middle: it begins half of its way (over `duration` [s]) to one side.
+    A pass is centred on the view of the target: it begins half of its way (over `duration` [s]) to one side.
     """
     kind = MOTIONS[int(rng.integers(1, len(MOTIONS)))]
     distance, tilt, heading = rng.uniform(*DISTANCE), rng.uniform(*TILT), rng.uniform(-np.pi, np.pi)
@@ -46,14 +46,16 @@ def draw_start(motion: str, middle: Array, duration: float, rng: np.random.Gener
     kind = kind if motion == "any" else motion
     R = matrix_from_rpy([0.0, 0.0, heading])
     mount = camera_mount(tilt)
-    target = np.asarray(middle, dtype=float) + [*aim, 0.0]
-    camera = target - distance * R @ mount[:3, 2]
+    aimed_at = np.asarray(target, dtype=float) + [*aim, 0.0]
+    camera = aimed_at - distance * R @ mount[:3, 2]
     T_world_start = transform(R, camera - R @ mount[:3, 3])
     if kind == "pass":
         T_world_start[:3, 3] -= R @ [0.0, 0.5 * side * speed * (duration - RAMP), 0.0]
         return Start(kind, tilt, T_world_start, _line(np.array([0.0, side * speed, 0.0])))
     if kind == "orbit":
-        return Start(kind, tilt, T_world_start, _circle((inverse(T_world_start)[:3] @ [*target, 1.0])[:2], side * rate))
+        return Start(
+            kind, tilt, T_world_start, _circle((inverse(T_world_start)[:3] @ [*aimed_at, 1.0])[:2], side * rate)
+        )
     return Start(kind, tilt, T_world_start, _line(np.zeros(3)))
 
 

@@ -54,6 +54,7 @@ class TrueObject(NamedTuple):
     T_c_object: Array | None = None  # (4, 4); None where only boxes are known
     model: PoseModel | None = None  # needed where `T_c_object` is
     difficult: bool = False  # need not be found: neither reward nor fault
+    identity: int = -1  # which of the scene's objects it is, the same in every frame
 
 
 class Match(NamedTuple):
