@@ -39,7 +39,7 @@ class _Problem(NamedTuple):
     def moved(self, x: Array) -> tuple[Array, Array]:
         """Poses and points after the increments x: (rotation, translation) of each camera but the first, then points.
 
-        Rotations are exp(φ) R₀ about the camera's origin with φ measured from the start, so that x stays a plain vector.
+        Rotations are exp(φ) R₀, φ measured from the start, so that x stays a plain vector.
         """
         cameras = x[: 6 * (len(self.T_c_o) - 1)].reshape(-1, 6)
         T = self.T_c_o.copy()

@@ -16,10 +16,10 @@ Ints = NDArray[np.int64]
 class Observations(NamedTuple):
     """Which point is seen as which feature of which frame; sorted by point, then frame."""
 
-    point: Ints  # (M,) 0 … count − 1
+    point: Ints  # (M,) 0 … points − 1
     frame: Ints  # (M,)
     feature: Ints  # (M,) row among the frame's features
-    count: int  # of points
+    points: int  # how many there are
 
 
 def _pairs(value: ArrayLike, name: str) -> Ints:

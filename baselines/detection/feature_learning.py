@@ -1,0 +1,266 @@
+"""Learning a feature model from a sequence of a moving stereo or RGB-D camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aerograsp_env.interfaces import RGBD, Intrinsics
+from aerograsp_env.metrics import umeyama
+from aerograsp_env.spatial import as_array, check_transform, inverse, transform, transform_points
+from baselines.detection.bundle import bundle_adjust
+from baselines.detection.extraction import feature_kind
+from baselines.detection.feature_model import FeatureModel
+from baselines.detection.pnp import PnPResult, solve_pnp
+from baselines.detection.propagation import observations, propagate
+from baselines.detection.stereo_features import FrameFeatures, StereoRig, rgbd_features, stereo_features
+from baselines.objects.matching import match_descriptors
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ROUNDS = 3  # of bundle adjustment, each without what the last one found wrong
+SEQUENTIAL_ERROR = 4.0  # [px] of features of the next frame from where this frame's points would be seen
+MIN_PAIRS = 8  # of features that consecutive frames must share
+
+
+class LearningError(ValueError):
+    """The pictures do not give a model; the message says what was missing."""
+
+
+class LearnedModel(NamedTuple):
+    """A model and how it came about."""
+
+    model: FeatureModel
+    T_c_object: Array  # (K, 4, 4) of the frames used
+    frames: tuple[int, ...]  # which those are
+    skipped: tuple[tuple[int, str], ...]  # frames left out, and why
+    views: Ints  # (N,) frames that each point is seen in
+    rmse: float  # [px] reprojection error of the bundle adjustment
+    scale: float  # that the similarity fit multiplied the reconstruction by
+    scale_spread: float  # standard deviation of it over the frames, relative
+    metric_rmse: float  # [m] between the model's and the frames' own points after the fit
+
+
+class _Chain(NamedTuple):
+    frames: list[int]
+    matches: list[Ints]  # (M, 2) rows of features of consecutive frames used
+    T_c_o: list[Array]  # from the first used camera's frame
+    skipped: list[tuple[int, str]]
+
+
+def learn_from_stereo(
+    pairs: Sequence[tuple[ArrayLike, ArrayLike]],
+    rig: StereoRig,
+    feature: str = "fast+sift",
+    masks: Sequence[ArrayLike | None] | None = None,
+    n: int = 1000,
+    depth_range: tuple[float, float] = (0.1, 10.0),
+    T_c_object: ArrayLike | None = None,
+    name: str = "object",
+) -> LearnedModel:
+    """A model from pairs of pictures in the order in which they were taken: see `learn_feature_model`.
+
+    Args:
+        pairs: left and right images, (H, W) or (H, W, 3) RGB, uint8.
+        masks: (H, W) bool for each pair, or None: where in the left image the object is.
+        n, depth_range: see `stereo_features`.
+    """
+    masks = _masks(masks, len(pairs))
+    frames = [
+        stereo_features(left, right, rig, feature, n, mask, depth_range=depth_range)
+        for (left, right), mask in zip(pairs, masks, strict=True)
+    ]
+    return learn_feature_model(frames, rig.left, feature, T_c_object=T_c_object, name=name)
+
+
+def learn_from_rgbd(
+    frames: Sequence[RGBD],
+    feature: str = "fast+sift",
+    masks: Sequence[ArrayLike | None] | None = None,
+    n: int = 1000,
+    T_c_object: ArrayLike | None = None,
+    name: str = "object",
+) -> LearnedModel:
+    """A model from frames with depth, in the order in which they were taken: see `learn_feature_model`."""
+    masks = _masks(masks, len(frames))
+    if not frames:
+        raise LearningError("frames: expected 3 or more, got 0")
+    found = [rgbd_features(frame, feature, n, mask) for frame, mask in zip(frames, masks, strict=True)]
+    ideal = frames[0].intrinsics
+    for i, frame in enumerate(frames):
+        if frame.intrinsics[:6] != ideal[:6]:
+            raise ValueError(f"frames[{i}]: expected the intrinsics of the first frame, got {frame.intrinsics}")
+    return learn_feature_model(found, ideal, feature, T_c_object=T_c_object, name=name)
+
+
+def _masks(masks: Sequence[ArrayLike | None] | None, count: int) -> Sequence[ArrayLike | None]:
+    if masks is not None and len(masks) != count:
+        raise ValueError(f"masks: expected one for each of {count} frames, got {len(masks)}")
+    return [None] * count if masks is None else masks
+
+
+def learn_feature_model(
+    frames: Sequence[FrameFeatures],
+    intrinsics: Intrinsics,
+    feature: str,
+    min_views: int = 3,
+    max_error: float = 2.0,
+    ratio: float = 0.8,
+    descriptors_per_point: int = 6,
+    T_c_object: ArrayLike | None = None,
+    name: str = "object",
+) -> LearnedModel:
+    """A feature model from frames around an object that stands still (Ramon Soria 2018, section 3.4).
+
+    Consecutive frames are matched, the matches propagated to all pairs, and points seen in `min_views` frames adjusted
+    with the cameras in one bundle. Its scale, which pictures of one camera leave open, is the one of the similarities
+    (Umeyama 1991) that bring the points to what the second camera measured in each frame: their median.
+
+    A frame that does not fit onto the one before is left out, and named in the result.
+
+    Args:
+        frames: features with places, from `stereo_features` or `rgbd_features`.
+        intrinsics: of the camera whose pixels they are.
+        max_error: [px] beyond which an observation is dropped.
+        ratio: of descriptor distances between consecutive frames.
+        descriptors_per_point: at most, of its views evenly.
+        T_c_object: (4, 4) the object in the first used frame; None puts the origin into the middle of the points,
+            with the first camera's axes.
+
+    Raises:
+        LearningError: too few frames fit together, or too few points are seen often enough.
+        ValueError: descriptors of another feature, or settings out of range.
+    """
+    kind = feature_kind(feature)
+    for i, given in enumerate(frames):
+        if given.descriptors.shape[1] != kind.width:
+            raise ValueError(f"frames[{i}]: expected descriptors of {kind}, got width {given.descriptors.shape[1]}")
+    if min_views < 3 or max_error <= 0.0 or descriptors_per_point < 1:
+        raise ValueError(
+            f"min_views, max_error, descriptors_per_point: expected ≥ 3, > 0 and ≥ 1, "
+            f"got {min_views}, {max_error}, {descriptors_per_point}"
+        )
+    T_given = None if T_c_object is None else check_transform(T_c_object, "T_c_object")
+    chain = _chain(frames, intrinsics, ratio)
+    used = [frames[i] for i in chain.frames]
+    if len(used) < min_views:
+        raise LearningError(f"frames: expected {min_views} or more that fit together, got {len(used)} of {len(frames)}")
+    matches = propagate(chain.matches)
+    _close_loop(matches, used, intrinsics, ratio)
+    seen = observations(matches, [len(f.pixels) for f in used], min_views)
+    point, frame, row = seen.point, seen.frame, seen.feature
+    T = np.array(chain.T_c_o)
+    pixels = np.array([used[f].pixels[r] for f, r in zip(frame, row, strict=True)]).reshape(-1, 2)
+    stereo = np.array([used[f].points_c[r] for f, r in zip(frame, row, strict=True)]).reshape(-1, 3)
+    if seen.points < MIN_PAIRS:
+        raise LearningError(f"frames: expected {MIN_PAIRS} points or more in {min_views} views, got {seen.points}")
+    lifted = transform_points(inverse(T)[frame], stereo[:, None])[:, 0]
+    points = np.array([np.median(lifted[point == k], axis=0) for k in range(seen.points)])
+    for _ in range(ROUNDS):
+        try:
+            result = bundle_adjust(T, points, pixels, frame, point, intrinsics)
+        except ValueError as fault:
+            raise LearningError(f"frames: too little is seen in common: {fault}") from None
+        T, points = result.T_c_o, result.points
+        good = result.errors <= max_error
+        good &= np.bincount(point[good], minlength=len(points))[point] >= min_views
+        names, place = np.unique(point[good], return_inverse=True)
+        point, frame, row, points = place, frame[good], row[good], points[names]
+        pixels, stereo, errors = pixels[good], stereo[good], result.errors[good]
+        if good.all():
+            break
+        if len(points) < MIN_PAIRS:
+            raise LearningError(f"frames: expected {MIN_PAIRS} points or more that agree, got {len(points)}")
+    scale, spread, metric = _scale(points, T, stereo, frame, point)
+    points = scale * points
+    T = transform(T[:, :3, :3], scale * T[:, :3, 3])
+    T_first_object = transform(np.eye(3), np.median(points, axis=0)) if T_given is None else inverse(T[0]) @ T_given
+    rows, owners = _representatives(point, frame, descriptors_per_point)
+    model = FeatureModel(
+        transform_points(inverse(T_first_object), points),
+        np.array([used[frame[r]].descriptors[row[r]] for r in rows], dtype=kind.dtype),
+        *(feature, owners, name),
+    )
+    views = np.bincount(point, minlength=len(points))
+    rmse = float(np.sqrt((errors**2).mean()))
+    poses = T @ T_first_object
+    return LearnedModel(model, poses, tuple(chain.frames), tuple(chain.skipped), views, rmse, scale, spread, metric)
+
+
+def _step(a: FrameFeatures, b: FrameFeatures, intrinsics: Intrinsics, ratio: float) -> tuple[Ints, PnPResult]:
+    """Matches of two frames that agree with one motion, and that motion (T_b_a)."""
+    found = match_descriptors(a.descriptors, b.descriptors, ratio=ratio)
+    # Pixels are free of distortion already, so the camera is one without.
+    ideal = intrinsics._replace(distortion=None)
+    solved = solve_pnp(a.points_c[found.query], b.pixels[found.train], ideal, SEQUENTIAL_ERROR, MIN_PAIRS)
+    rows = np.column_stack([found.query, found.train])[solved.inliers]
+    return rows, solved
+
+
+def _chain(frames: Sequence[FrameFeatures], intrinsics: Intrinsics, ratio: float) -> _Chain:
+    chain = _Chain([], [], [], [])
+    for i, frame in enumerate(frames):
+        if not chain.frames:
+            if len(frame.pixels) >= MIN_PAIRS:
+                chain.frames.append(i)
+                chain.T_c_o.append(np.eye(4))
+            else:
+                chain.skipped.append((i, f"{len(frame.pixels)} features"))
+            continue
+        rows, solved = _step(frames[chain.frames[-1]], frame, intrinsics, ratio)
+        if solved.T_c_object is None:
+            chain.skipped.append((i, solved.reason))
+            continue
+        chain.matches.append(rows)
+        chain.T_c_o.append(solved.T_c_object @ chain.T_c_o[-1])
+        chain.frames.append(i)
+    return chain
+
+
+def _close_loop(
+    matches: dict[tuple[int, int], Ints], frames: Sequence[FrameFeatures], intrinsics: Intrinsics, ratio: float
+) -> None:
+    """Where the last frame shows the first's features again without a chain of matches, join them."""
+    last = len(frames) - 1
+    if last < 3:
+        return
+    rows, solved = _step(frames[0], frames[last], intrinsics, ratio)
+    if solved.T_c_object is not None:
+        known = matches[0, last]
+        new = ~np.isin(rows[:, 0], known[:, 0]) & ~np.isin(rows[:, 1], known[:, 1])
+        matches[0, last] = np.concatenate([known, rows[new]])
+
+
+def _scale(points: Array, T_c_o: Array, stereo: Array, frame: Ints, point: Ints) -> tuple[float, float, float]:
+    """Median over the frames of the scale from the points to the frame's own, its spread, and the error left [m]."""
+    scales, squares, count = [], 0.0, 0
+    for k in range(len(T_c_o)):
+        rows = np.nonzero(frame == k)[0]
+        if len(rows) < MIN_PAIRS:
+            continue
+        source, target = transform_points(T_c_o[k], points[point[rows]]), as_array(stereo[rows], (3,), "stereo")
+        fit = umeyama(source, target, with_scale=True)
+        gap = np.linalg.norm(transform_points(fit.T_target_source, fit.scale * source) - target, axis=1)
+        near = gap <= 3.0 * np.median(gap) + 1e-12  # stereo's few gross errors would turn the whole fit
+        fit = umeyama(source[near], target[near], with_scale=True)
+        gap = np.linalg.norm(transform_points(fit.T_target_source, fit.scale * source[near]) - target[near], axis=1)
+        scales.append(fit.scale)
+        squares, count = squares + float((gap**2).sum()), count + len(gap)
+    if not scales or min(scales) <= 0.0:
+        raise LearningError("frames: expected points with depth in one frame at least, to find the scale")
+    scale = float(np.median(scales))
+    return scale, float(np.std(scales) / scale), float(np.sqrt(squares / count))
+
+
+def _representatives(point: Ints, frame: Ints, limit: int) -> tuple[Ints, Ints]:
+    """Rows of the observations whose descriptors are kept, and their points."""
+    order = np.lexsort((frame, point))
+    chosen = []
+    for rows in np.split(order, np.nonzero(np.diff(point[order]))[0] + 1):
+        chosen.append(rows[np.unique(np.linspace(0, len(rows) - 1, min(limit, len(rows))).round().astype(int))])
+    rows = np.concatenate(chosen)
+    return rows, point[rows]

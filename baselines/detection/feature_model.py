@@ -1,0 +1,264 @@
+"""An object as points that can be recognised in a picture, and its pose from those that are."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from aerograsp_env.interfaces import RGBD, Detection, Intrinsics
+from aerograsp_env.spatial import as_array, check_transform, transform_points
+from baselines.detection.extraction import FeatureKind, check_image, extract, feature_kind
+from baselines.detection.pnp import solve_pnp
+from baselines.detection.stereo_features import check_size
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+VERSION = 1  # of the file
+NEIGHBORS = 8  # descriptors looked at for the nearest of another point
+FEATURES = 1500  # of a picture
+
+
+class FeaturePose(NamedTuple):
+    """Where a model is in a picture, or why it was not found."""
+
+    T_c_object: Array | None  # (4, 4)
+    inliers: int  # matches that agree with the pose
+    matches: int  # features of the picture that resemble one point more than any other
+    points: Ints  # (I,) rows of the model's points that agree
+    pixels: Array  # (I, 2) [px] where they are in the picture
+    rmse: float  # [px] reprojection error of the inliers; NaN without a pose
+    covariance: Array | None  # (6, 6) camera-frame position [m²], then rotation vector [rad²]
+    reason: str  # why there is no pose; empty with one
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureModel:
+    """Points of an object with descriptors; a point may have several, from different sides.
+
+    `FeatureModel.load` and `save` keep it in one file of arrays, without pickle; `learn_feature_model` makes one from
+    a sequence of a stereo or RGB-D camera.
+
+    Raises:
+        ValueError: shapes that do not match, values that are not finite, or descriptors that are not the feature's.
+    """
+
+    points: Array  # (N, 3) [m] in the object's frame
+    descriptors: NDArray  # (M, D), rows of the same point together
+    feature: str  # "detector+descriptor", see `extraction.feature_kind`
+    owners: Ints | None = None  # (M,) the point of each descriptor, ascending; None: one for each point, in order
+    name: str = "object"
+
+    def __post_init__(self) -> None:
+        kind = feature_kind(self.feature)
+        points, descriptors = as_array(self.points, (3,), "points"), np.asarray(self.descriptors)
+        if points.ndim != 2 or not len(points):
+            raise ValueError(f"points: expected shape (N, 3) with N ≥ 1, got {points.shape}")
+        if descriptors.ndim != 2 or descriptors.shape[1] != kind.width or descriptors.dtype != kind.dtype:
+            raise ValueError(
+                f"descriptors: expected (M, {kind.width}) {np.dtype(kind.dtype).name} for {kind}, "
+                f"got {descriptors.shape} {descriptors.dtype}"
+            )
+        if kind.dtype is np.float32 and not np.isfinite(descriptors).all():
+            raise ValueError("descriptors: expected finite values")
+        owners = np.arange(len(points)) if self.owners is None else np.asarray(self.owners, dtype=np.int64)
+        if owners.shape != (len(descriptors),):
+            raise ValueError(
+                f"owners: expected one point for each of {len(descriptors)} descriptors, got {owners.shape}"
+            )
+        if len(owners) and (owners[0] < 0 or owners[-1] >= len(points) or (np.diff(owners) < 0).any()):
+            raise ValueError(f"owners: expected ascending rows of {len(points)} points")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "descriptors", np.ascontiguousarray(descriptors))
+        object.__setattr__(self, "owners", owners)
+        object.__setattr__(self, "feature", str(kind))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @property
+    def kind(self) -> FeatureKind:
+        """Detector and descriptor."""
+        return feature_kind(self.feature)
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as one compressed .npz file."""
+        assert self.owners is not None
+        with Path(path).open("wb") as file:
+            np.savez_compressed(
+                file, version=VERSION, points=self.points, descriptors=self.descriptors, owners=self.owners,
+                feature=self.feature, name=self.name,
+            )  # fmt: skip
+
+    @classmethod
+    def load(cls, path: str | Path) -> FeatureModel:
+        """Read what `save` wrote; nothing in the file is executed.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: a file that is not a feature model, naming it.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                if int(data["version"]) != VERSION:
+                    raise ValueError(f"expected version {VERSION}, got {int(data['version'])}")
+                return cls(data["points"], data["descriptors"], str(data["feature"]), data["owners"], str(data["name"]))
+        except FileNotFoundError:
+            raise
+        except (KeyError, TypeError, ValueError, AttributeError, EOFError, OSError, zipfile.BadZipFile) as fault:
+            message = " ".join(str(fault).split())
+            raise ValueError(f"{path}: expected a feature model written by FeatureModel.save: {message}") from None
+
+    @classmethod
+    def read_opencv(cls, path: str | Path, feature: str, name: str = "object") -> FeatureModel:
+        """Read a model that OpenCV's FileStorage wrote, XML, YAML or JSON: lists `points` and a matrix `descriptors`.
+
+        Args:
+            feature: what the descriptors are; the file does not say.
+
+        Raises:
+            FileNotFoundError: no such file.
+            ValueError: a file of other content, naming it.
+        """
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"{path}: no such file")
+        try:
+            storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+            node, matrix = storage.getNode("points"), storage.getNode("descriptors").mat()
+            values = [node.at(i).real() for i in range(node.size())] if node.isSeq() else np.ravel(node.mat())
+            points = np.array(values, dtype=np.float64).reshape(-1, 3)
+        except (cv2.error, SystemError, ValueError, TypeError) as fault:
+            raise ValueError(f"{path}: expected OpenCV's storage of points and descriptors: {_line(fault)}") from None
+        if matrix is None or not len(points) or len(matrix) != len(points):
+            count = 0 if matrix is None else len(matrix)
+            raise ValueError(f"{path}: expected a descriptor for each point, got {len(points)} and {count}")
+        try:
+            return cls(points, matrix, feature, name=name)
+        except ValueError as fault:
+            raise ValueError(f"{path}: {fault}") from None
+
+    def match(self, descriptors: ArrayLike, ratio: float = 0.8) -> tuple[Ints, Ints]:
+        """Rows of given descriptors (F, D) and of the points that they resemble, each point once.
+
+        The nearest descriptor must be closer than `ratio` times the nearest of any *other* point (Lowe 2004, section
+        7.1, which asks the same of other objects).
+        """
+        given = np.asarray(descriptors)
+        if given.ndim != 2 or given.shape[1] != self.kind.width or given.dtype != self.kind.dtype:
+            raise ValueError(
+                f"descriptors: expected (F, {self.kind.width}) {np.dtype(self.kind.dtype).name} for {self.feature}, "
+                f"got {given.shape} {given.dtype}"
+            )
+        if not 0.0 < ratio <= 1.0:
+            raise ValueError(f"ratio: expected a number in (0, 1], got {ratio}")
+        if not len(given) or not len(self.descriptors):
+            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        assert self.owners is not None
+        norm = cv2.NORM_L2 if self.kind.dtype is np.float32 else cv2.NORM_HAMMING
+        kind = cv2.CV_32F if norm == cv2.NORM_L2 else cv2.CV_32S
+        count = min(NEIGHBORS, len(self.descriptors))
+        distances, nearest = cv2.batchDistance(
+            np.ascontiguousarray(given), self.descriptors, kind, normType=norm, K=count
+        )
+        owner = self.owners[np.asarray(nearest).reshape(len(given), count)]
+        far = np.asarray(distances, dtype=np.float64).reshape(len(given), count)
+        other = np.where(owner != owner[:, :1], far, np.inf).min(axis=1)
+        rows = np.nonzero(far[:, 0] < ratio * other)[0] if len(self) > 1 else np.arange(len(given))
+        rows = rows[np.argsort(far[rows, 0], kind="stable")]
+        _, first = np.unique(owner[rows, 0], return_index=True)  # the closest of those that resemble one point
+        rows = rows[np.sort(first)]
+        return rows, owner[rows, 0]
+
+    def locate(
+        self,
+        image: ArrayLike,
+        intrinsics: Intrinsics,
+        mask: ArrayLike | None = None,
+        T_guess: ArrayLike | None = None,
+        n: int = FEATURES,
+        ratio: float = 0.8,
+        threshold: float = 3.0,
+        min_inliers: int = 8,
+        confidence: float = 0.999,
+    ) -> FeaturePose:
+        """Find the object in a picture: features, matches, then the pose from those that agree.
+
+        Args:
+            image: (H, W) or (H, W, 3) RGB, uint8.
+            mask: (H, W) bool: where to look; None is everywhere.
+            T_guess: (4, 4) a pose to try as well, such as the last picture's.
+            n: features of the picture at most.
+            ratio: see `match`.
+            threshold, min_inliers, confidence: see `pnp.solve_pnp`.
+
+        Returns:
+            Its pose with covariance; or none, with the reason. It has no pose where too few features agree.
+
+        Raises:
+            ValueError: an image of another shape, type or size than the intrinsics', or settings out of range.
+        """
+        check_size(check_image(image), intrinsics, "image")
+        found = extract(image, self.kind, n, mask)
+        rows, points = self.match(found.descriptors, ratio)
+        pixels = found.pixels[rows]
+        solved = solve_pnp(
+            self.points[points], pixels, intrinsics, threshold, min_inliers, confidence, T_guess=T_guess
+        )  # fmt: skip
+        inside = solved.inliers
+        return FeaturePose(
+            solved.T_c_object, int(inside.sum()), len(rows), points[inside], pixels[inside], solved.rmse,
+            solved.covariance, solved.reason,
+        )  # fmt: skip
+
+    def box(self, T_c_object: ArrayLike, intrinsics: Intrinsics) -> Array | None:
+        """(4,) xyxy [px] of all points' pixels within the image; None where the object is not in view."""
+        points_c = transform_points(check_transform(T_c_object, "T_c_object"), self.points)
+        points_c = points_c[points_c[:, 2] > 1e-6]
+        if not len(points_c):
+            return None
+        pixels = project(points_c, intrinsics)
+        limit = np.array([intrinsics.width - 1.0, intrinsics.height - 1.0])
+        low, high = np.clip(pixels.min(axis=0), 0.0, limit), np.clip(pixels.max(axis=0), 0.0, limit)
+        return np.concatenate([low, high]) if (low < high).all() else None
+
+
+def project(points_c: Array, intrinsics: Intrinsics) -> Array:
+    """(N, 2) pixels of points in the camera's frame, lens distortion included."""
+    distortion = np.zeros(5) if intrinsics.distortion is None else intrinsics.distortion
+    pixels, _ = cv2.projectPoints(points_c, np.zeros(3), np.zeros(3), intrinsics.matrix, distortion)
+    return pixels.reshape(-1, 2).astype(np.float64)
+
+
+class FeatureDetector:
+    """A `Detector` of known objects by their feature models.
+
+    The score is I / (I + 12) of I inliers: 0.5 at a dozen. Boxes span the model's points, hidden ones too.
+    """
+
+    def __init__(self, models: Sequence[FeatureModel] | Mapping[str, FeatureModel], n: int = FEATURES):
+        items = dict(models) if isinstance(models, Mapping) else {model.name: model for model in models}
+        if not items:
+            raise ValueError("models: expected at least one feature model, got none")
+        self._models, self._n = items, n
+
+    def detect(self, frame: RGBD) -> list[Detection]:
+        """The objects found in the frame's colour image, best score first."""
+        found = []
+        for label, model in self._models.items():
+            pose = model.locate(frame.rgb, frame.intrinsics, n=self._n)
+            box = None if pose.T_c_object is None else model.box(pose.T_c_object, frame.intrinsics)
+            if box is not None:
+                score = pose.inliers / (pose.inliers + 12.0)
+                found.append(Detection(label, score, box, pose.T_c_object, pose.covariance))
+        return sorted(found, key=lambda d: -d.score)
+
+
+def _line(fault: BaseException) -> str:
+    return " ".join(str(fault).split())[:200] if str(fault) else type(fault).__name__
