@@ -24,7 +24,8 @@ from agents.files import write_atomic
 SCHEMA = "aerograsp-checkpoint"
 VERSION = 1
 ACTIVATIONS = ("tanh", "relu")
-SCORER_KIND = "grasp-scorer"  # of networks that score grasps; all others are actors
+SCORER_KIND, AIM_KIND = "grasp-scorer", "grasp-aim"  # of networks that score and that aim grasps
+DETECTOR_KIND = "detector"  # of networks that find objects in images; all others are actors
 
 
 class CheckpointError(ValueError):
@@ -200,8 +201,8 @@ def _check(tensors: Mapping[str, NDArray], card: Mapping[str, Any], env_id: str 
     for name, array in tensors.items():
         if np.issubdtype(array.dtype, np.floating) and not np.all(np.isfinite(array)):
             raise ValueError(f"tensor {name!r} is not finite")
-    if str(card.get("kind", "")).startswith(SCORER_KIND):
-        return  # its own module checks the weights against its layout
+    if str(card.get("kind", "")).startswith((SCORER_KIND, AIM_KIND, DETECTOR_KIND)):
+        return  # their own modules check the weights against their layouts
     layout = NetworkLayout.from_card(card)
     base = card.get("base")
     if (base is not None) != (layout.keys[-1] == BASE_ACTION):
