@@ -53,17 +53,34 @@ def turn(axis, angle, out):
 
 
 @compiled
+def hinge(a, b, axis, angle, out):
+    """out = a b turn(axis, angle) of rigid transforms (4, 4), in one go: every tick does it for every joint."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y, z = axis[0], axis[1], axis[2]
+    k = 1.0 - c
+    r00, r01, r02 = c + k * x * x, k * x * y - s * z, k * x * z + s * y
+    r10, r11, r12 = k * x * y + s * z, c + k * y * y, k * y * z - s * x
+    r20, r21, r22 = k * x * z - s * y, k * y * z + s * x, c + k * z * z
+    for i in range(3):
+        u, v, w = a[i, 0], a[i, 1], a[i, 2]
+        f = u * b[0, 0] + v * b[1, 0] + w * b[2, 0]
+        g = u * b[0, 1] + v * b[1, 1] + w * b[2, 1]
+        h = u * b[0, 2] + v * b[1, 2] + w * b[2, 2]
+        at = u * b[0, 3] + v * b[1, 3] + w * b[2, 3] + a[i, 3]
+        out[i, 0], out[i, 1] = f * r00 + g * r10 + h * r20, f * r01 + g * r11 + h * r21
+        out[i, 2], out[i, 3] = f * r02 + g * r12 + h * r22, at
+        out[3, i] = 0.0
+    out[3, 3] = 1.0
+
+
+@compiled
 def forward(p, arm, q, poses, tool):
     """Kinematics in the body frame: writes T_body_link (JOINTS, 4, 4) and T_body_tool (4, 4)."""
-    at, rotation = np.empty((4, 4)), np.empty((4, 4))
     n = p.joints[arm]
-    for i in range(n):
-        if i == 0:
-            at[:] = p.placement[arm, 0]
-        else:
-            multiply(poses[i - 1], p.placement[arm, i], at)
-        turn(p.axis[arm, i], q[i], rotation)
-        multiply(at, rotation, poses[i])
+    turn(p.axis[arm, 0], q[0], tool)
+    multiply(p.placement[arm, 0], tool, poses[0])
+    for i in range(1, n):
+        hinge(poses[i - 1], p.placement[arm, i], p.axis[arm, i], q[i], poses[i])
     multiply(poses[n - 1], p.tool_placement[arm], tool)
 
 
