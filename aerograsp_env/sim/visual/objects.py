@@ -92,6 +92,34 @@ class VisualObject:
 
         return float(pdist(self.vertices[ConvexHull(self.vertices, qhull_options="QJ").vertices]).max())
 
+    @functools.cached_property
+    def steady(self) -> tuple[Array, Array]:
+        """Outward normals (K, 3) of the facets of its hull that it can stand on, and weights (K,) that sum to 1.
+
+        It can stand on a facet that holds the foot of the perpendicular from the centre of mass, here that of the
+        surface. Weights are the facets' areas: a quick stand-in for how often a dropped object comes to rest on each
+        (`aerograsp_env.sim.objects.resting` has those probabilities, at a hundred times the cost).
+        """
+        from scipy.spatial import ConvexHull
+
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        center = (area @ (a + b + c)) / (3.0 * area.sum())
+        hull = ConvexHull(self.vertices - center)
+        a, b, c = (hull.points[hull.simplices[:, k]] for k in range(3))
+        normal = hull.equations[:, :3]
+        foot = -normal * hull.equations[:, 3:]
+        cross = np.cross(b - a, c - a)
+        area = np.linalg.norm(cross, axis=1)
+        turn = np.sign(np.einsum("ij,ij->i", cross, normal))
+        inside = area > 0.0
+        for start, end in ((a, b), (b, c), (c, a)):
+            side = np.einsum("ij,ij->i", np.cross(end - start, foot - start), normal) * turn
+            inside &= side >= -1e-3 * np.linalg.norm(end - start, axis=1)  # a millimetre outside still counts
+        chosen = np.flatnonzero(inside) if inside.any() else np.array([int(np.argmax(area))])
+        weight = ((normal[chosen] @ normal.T > 0.9995) * area).sum(axis=1)
+        return normal[chosen], weight / weight.sum()
+
     def surface(self, count: int, rng: np.random.Generator) -> tuple[Array, Array, NDArray[np.uint8]]:
         """Points (N, 3) [m], outward unit normals (N, 3) and sRGB colours (N, 3), uniform over the outside.
 
@@ -135,6 +163,9 @@ class VisualObject:
                 winding = igl.fast_winding_number(part.vertices, part.faces.astype(np.int64), points[near])
                 inside[near] |= winding > 0.5
         return inside
+
+
+_FIELDS = {field.name for field in dataclasses.fields(VisualObject)}
 
 
 class Draw:
@@ -238,7 +269,10 @@ def recolored(item: VisualObject, rng: np.random.Generator) -> VisualObject:
     for part in item.parts:
         if part.look not in new:
             new[part.look] = another(part.look, rng)
-    return dataclasses.replace(item, parts=tuple(part._replace(look=new[part.look]) for part in item.parts))
+    copy = dataclasses.replace(item, parts=tuple(part._replace(look=new[part.look]) for part in item.parts))
+    shape = {name: value for name, value in vars(item).items() if name not in _FIELDS}  # what has been computed of it
+    vars(copy).update(shape)
+    return copy
 
 
 def random_object(label: str, rng: np.random.Generator, colors: bool = True) -> VisualObject:

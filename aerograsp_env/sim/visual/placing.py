@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import functools
-from dataclasses import dataclass
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from aerograsp_env.sim.objects.grasp_object import GraspObject
-from aerograsp_env.sim.objects.resting import resting_poses
 from aerograsp_env.sim.visual.objects import VisualObject
 from aerograsp_env.spatial import transform
 
@@ -31,40 +27,12 @@ class Placed(NamedTuple):
         return self.object.vertices @ self.T_world_object[:3, :3].T + self.T_world_object[:3, 3]
 
 
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """What `resting_poses` reads of an object."""
-
-    vertices: Array
-    center_of_mass: Array
-
-
-def _directions() -> Array:
-    """(D, 3) directions whose extreme vertices make a hull that is coarse but has all broad faces."""
-    rng = np.random.default_rng(1)
-    cloud = rng.normal(size=(28, 3))
-    tilt, around = 0.15, np.arange(8) * (np.pi / 4.0) + 0.1
-    rim = np.stack([tilt * np.cos(around), tilt * np.sin(around), np.ones(8)], axis=1)
-    axes = [np.roll(rim, k, axis=1) * sign for k in range(3) for sign in (1.0, -1.0)]
-    return np.concatenate([cloud, *axes])
-
-
-_DIRECTIONS = _directions()
-
-
-@functools.lru_cache(maxsize=1024)
-def resting_rotations(item: VisualObject) -> tuple[Array, Array]:
-    """Rotations (K, 3, 3) in which it lies steadily on a plane, and their probabilities (K,).
-
-    Of a coarse hull and a uniform density over the surface: good enough for pictures.
-    """
-    points = item.vertices
-    chosen = np.unique((points @ _DIRECTIONS.T).argmax(axis=0))
-    low, high = points.min(axis=0), points.max(axis=0)
-    body = _Body(points[chosen], 0.5 * (low + high) + 0.3 * (points.mean(axis=0) - 0.5 * (low + high)))
-    poses = resting_poses(cast(GraspObject, body))
-    rotations = np.array([pose.T_support_object[:3, :3] for pose in poses])
-    return rotations, np.array([pose.probability for pose in poses])
+def _down(normal: Array) -> Array:
+    """(3, 3) the rotation that turns a unit normal to −z."""
+    x = np.eye(3)[np.argmin(np.abs(normal))]
+    x = x - (x @ normal) * normal
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(-normal, x), -normal])
 
 
 def upright(item: VisualObject, rng: np.random.Generator) -> Array:
@@ -72,8 +40,8 @@ def upright(item: VisualObject, rng: np.random.Generator) -> Array:
     heading = _turn(rng.uniform(-np.pi, np.pi))
     if item.label == "crawler" or (item.label in ("can", "juice_box", "box", "fruit") and rng.random() < 0.55):
         return heading
-    rotations, probabilities = resting_rotations(item)
-    return heading @ rotations[rng.choice(len(rotations), p=probabilities / probabilities.sum())]
+    normals, weights = item.steady
+    return heading @ _down(normals[rng.choice(len(normals), p=weights)])
 
 
 def lying(item: VisualObject, rng: np.random.Generator, at: tuple[float, float] = (0.0, 0.0), height: float = 0.0) -> Placed:

@@ -40,8 +40,8 @@ def draw_viewpoint(scene: Scene, rng: np.random.Generator) -> Viewpoint:
     if scene.config.style == "studio":
         return _studio(scene, rng)
     elevation = np.radians(rng.uniform(22.0, 68.0))
-    distance, fovy = rng.uniform(0.6, 2.0), np.radians(rng.uniform(40.0, 62.0))
-    target = _target(scene, rng, 0.7) + rng.normal(0.0, 0.08, 3) * (1.0, 1.0, 0.2)
+    distance, fovy = 0.6 + 1.4 * rng.random() ** 1.5, np.radians(rng.uniform(40.0, 62.0))
+    target = _target(scene, rng, 0.9) + rng.normal(0.0, 0.08, 3) * (1.0, 1.0, 0.2)
     roll = rng.normal(0.0, np.radians(6.0))
     return Viewpoint(look_at(_around(target, distance, elevation, rng), target, roll), float(fovy))
 
@@ -53,11 +53,11 @@ def _studio(scene: Scene, rng: np.random.Generator) -> Viewpoint:
         item = scene.objects[int(rng.integers(len(scene.objects)))]
         target, size = item.T_world_object[:3, 3].copy(), 0.5 * item.object.diameter
         target += rng.normal(0.0, 0.18 * size, 3) * (1.0, 1.0, 0.0)
-        fill = rng.uniform(0.45, 1.25)
+        fill = rng.uniform(0.5, 1.35)
     else:
         target, size = scene.center, _spread(scene)
         target = target + rng.normal(0.0, 0.12 * size, 3) * (1.0, 1.0, 0.0)
-        fill = rng.uniform(0.5, 1.15)
+        fill = rng.uniform(0.55, 1.35)
     distance = float(np.clip(size / np.tan(0.5 * fovy) / fill, 0.15, 2.0))
     roll = rng.uniform(-np.pi, np.pi) if rng.random() < 0.6 else rng.normal(0.0, 0.1)
     return Viewpoint(look_at(_around(target, distance, elevation, rng), target, roll), float(fovy))

@@ -1,0 +1,341 @@
+"""Data sets for detectors: rendered pictures with boxes and poses, in a folder that grows as they are drawn.
+
+Layout: `card.json` (classes, size, intrinsics, split, seed, command, version), `rgb/000000.jpg`, `depth/000000.png`
+(uint16, millimetres, 0 where there is none) and `labels.jsonl`, one line a picture:
+
+    {"image": 0, "boxes": [[x1, y1, x2, y2]], "labels": [int], "visibility": [..], "difficult": [..],
+     "T_c_object": [[16 numbers, row by row]], "intrinsics": [fx, fy, cx, cy], "style": "aerial" | "studio",
+     "level": "easy", "scene_seed": 0}
+
+A line is written after its picture, so that what has a line is whole. Writing again goes on where it was interrupted
+and ends with the same bytes; a folder can be read while it grows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import concurrent.futures
+import contextlib
+import io
+import json
+import multiprocessing
+import os
+import shlex
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from aerograsp_env.interfaces import Intrinsics
+from aerograsp_env.sim.visual import CLASSES
+from agents.files import dumps, to_json, writable_folder, write_atomic
+
+VERSION = 1
+SPLITS = {"train": 0, "validation": 10_000_000, "test": 20_000_000}
+"""First scene seed of each split."""
+
+SEEDS, SEED_STEP = 100, 100_000  # how many seeds a split has, and scenes each
+NOMINAL_FOVY = np.radians(50.0)  # of the card's intrinsics; every picture has its own
+QUALITY = 95  # of JPEG
+
+
+class Sample(NamedTuple):
+    """One picture of a data set."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3)
+    depth: NDArray[np.float32]  # (H, W) [m], 0 where there is none
+    boxes: NDArray[np.float32]  # (N, 4) x1, y1, x2, y2 [px]
+    labels: NDArray[np.int64]  # (N,) index into the classes
+    difficult: NDArray[np.bool_]  # (N,)
+    T_c_object: NDArray[np.float64]  # (N, 4, 4)
+    intrinsics: Intrinsics
+
+
+def write_dataset(
+    out: str | Path,
+    images: int,
+    seed: int = 0,
+    split: str = "train",
+    size: tuple[int, int] = (320, 240),
+    randomize: bool = True,
+    workers: int = 1,
+    progress: bool = False,
+    command: str | None = None,
+) -> Path:
+    """Render `images` pictures into the folder `out`, or those that are missing; returns the folder.
+
+    Args:
+        seed: 0–99; splits and seeds share no scene.
+        size: width and height [px].
+        randomize: off for nominal shapes, fixed looks, one light and plain grounds: what domain randomisation is
+            compared with.
+        workers: processes.
+        progress: a bar, if standard error is a terminal.
+        command: kept in the card.
+
+    Raises:
+        ValueError: a number out of range, an unknown split, or a folder that holds another data set.
+        OSError: the folder cannot be written.
+    """
+    from tqdm import tqdm
+
+    from agents.detect_pictures import ARRANGEMENTS, BLOCK
+
+    _check(images, seed, split, size, workers, SEED_STEP // ARRANGEMENTS * BLOCK)
+    folder = writable_folder(out)
+    card = {
+        "version": VERSION, "classes": list(CLASSES), "size": list(size), "split": split, "seed": seed,
+        "randomize": randomize, "intrinsics": _intrinsics(size), "images": images, "command": command,
+    }  # fmt: skip
+    done = _resume(folder, card, BLOCK)
+    for name in ("rgb", "depth"):
+        (folder / name).mkdir(exist_ok=True)
+    write_atomic(folder / "card.json", dumps(card))
+    first = SPLITS[split] + seed * SEED_STEP
+    jobs = [
+        (folder, block * BLOCK, min(images - block * BLOCK, BLOCK), first + block * ARRANGEMENTS, size, randomize)
+        for block in range(done // BLOCK, -(-images // BLOCK))
+    ]
+    bar = tqdm(total=images, initial=min(done, images), desc=f"{split} pictures", unit="image")
+    bar.disable = bar.disable or not progress
+    with bar, (folder / "labels.jsonl").open("a", encoding="utf-8") as lines:
+        for rows in _run(jobs, workers):
+            lines.write("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in rows))
+            lines.flush()
+            bar.update(len(rows))
+    return folder
+
+
+def _check(images: int, seed: int, split: str, size: tuple[int, int], workers: int, most: int) -> None:
+    if not 1 <= images <= most:
+        raise ValueError(f"images: expected 1 to {most}, got {images}")
+    if not 0 <= seed < SEEDS:
+        raise ValueError(f"seed: expected 0 to {SEEDS - 1}, got {seed}")
+    if split not in SPLITS:
+        raise ValueError(f"split: expected one of {', '.join(SPLITS)}, got {split!r}")
+    if len(size) != 2 or not all(32 <= side <= 4096 for side in size):
+        raise ValueError(f"size: expected width and height of 32 to 4096 px, got {size}")
+    if workers < 1:
+        raise ValueError(f"workers: expected at least 1, got {workers}")
+
+
+def _intrinsics(size: tuple[int, int]) -> list[float]:
+    from agents.detect_pictures import intrinsics_of
+
+    camera = intrinsics_of(size, float(NOMINAL_FOVY))
+    return [camera.fx, camera.fy, camera.cx, camera.cy]
+
+
+def _resume(folder: Path, card: dict[str, Any], block: int) -> int:
+    """How many pictures are there, in whole blocks; what was left of an unfinished block is dropped."""
+    path = folder / "card.json"
+    if path.exists():
+        old = _read_json(path)
+        for name in ("version", "classes", "size", "split", "seed", "randomize"):
+            if old.get(name) != card[name]:
+                raise ValueError(f"out: {folder} holds another data set: {name} {old.get(name)!r}, not {card[name]!r}")
+    labels = folder / "labels.jsonl"
+    if not labels.exists():
+        return 0
+    rows = [line for line in labels.read_text(encoding="utf-8").split("\n")[:-1] if line]
+    whole = len(rows) // block * block
+    write_atomic(labels, "".join(row + "\n" for row in rows[:whole]))
+    return whole
+
+
+def _run(jobs: list[tuple[Any, ...]], workers: int) -> Iterator[list[dict[str, Any]]]:
+    """The blocks' rows, in order."""
+    if workers == 1:
+        for job in jobs:
+            yield draw_rows(*job)
+        return
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read by the workers, which start afresh
+        os.environ.setdefault(variable, "1")
+    context = multiprocessing.get_context("spawn")
+    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
+        futures = [pool.submit(draw_rows, *job) for job in jobs]
+        try:
+            for future in futures:
+                yield future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def draw_rows(
+    folder: Path, start: int, count: int, scene_seed: int, size: tuple[int, int], randomize: bool
+) -> list[dict[str, Any]]:
+    """Draw a block, write its first `count` pictures as number `start` and on, and return their labels' rows."""
+    from agents.detect_pictures import draw_block
+
+    rows = []
+    for number, picture in enumerate(draw_block(scene_seed, size, randomize)[:count], start):
+        frame, truths = picture.frame, picture.truths
+        buffer = io.BytesIO()
+        Image.fromarray(frame.rgb).save(buffer, "JPEG", quality=QUALITY)
+        write_atomic(folder / "rgb" / f"{number:06d}.jpg", buffer.getvalue())
+        buffer = io.BytesIO()
+        Image.fromarray(np.rint(frame.depth * 1e3).astype(np.uint16)).save(buffer, "PNG", compress_level=2)
+        write_atomic(folder / "depth" / f"{number:06d}.png", buffer.getvalue())
+        camera = frame.intrinsics
+        rows.append(
+            to_json(
+                {
+                    "image": number,
+                    "boxes": [truth.box.tolist() for truth in truths],
+                    "labels": [CLASSES.index(truth.label) for truth in truths],
+                    "visibility": [round(truth.visibility, 4) for truth in truths],
+                    "difficult": [bool(truth.difficult) for truth in truths],
+                    "T_c_object": [np.round(truth.T_c_object, 9).ravel().tolist() for truth in truths],
+                    "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
+                    "style": picture.style,
+                    "level": picture.level,
+                    "scene_seed": picture.scene_seed,
+                }
+            )
+        )
+    return rows
+
+
+class DetectDataset:
+    """A data set on disk; pictures are read when asked for.
+
+    Attributes:
+        classes: names, in the order of the labels.
+        intrinsics: of the nominal camera; each picture's own are in its `Sample`.
+        rows: the labels' rows.
+
+    Raises:
+        FileNotFoundError: no such data set.
+        ValueError: a card or labels that cannot be understood, with the name of the file.
+    """
+
+    def __init__(self, path: str | Path):
+        self.path = Path(path)
+        card_path = self.path / "card.json"
+        if not card_path.is_file():
+            raise FileNotFoundError(f"{self.path}: expected the folder of a data set, with a card.json")
+        self.card = _read_json(card_path)
+        try:
+            self.classes = tuple(str(name) for name in self.card["classes"])
+            width, height = (int(side) for side in self.card["size"])
+            self.intrinsics = Intrinsics(width, height, *self.card["intrinsics"])
+            version = self.card["version"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{card_path}: expected classes, size, intrinsics and version, got {error}") from error
+        if version != VERSION:
+            raise ValueError(f"{card_path}: expected version {VERSION}, got {version}")
+        self.rows = _read_rows(self.path / "labels.jsonl", len(self.classes))
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, index: int) -> Sample:
+        """Picture `index`.
+
+        Raises:
+            IndexError: no such picture.
+            ValueError: a picture that is missing, damaged or of another size, with the name of the file.
+        """
+        row = self.rows[index]
+        size = (self.intrinsics.height, self.intrinsics.width)
+        rgb = _read_image(self.path / "rgb" / f"{row['image']:06d}.jpg", (*size, 3), np.uint8)
+        depth = _read_image(self.path / "depth" / f"{row['image']:06d}.png", size, np.uint16)
+        camera = self.intrinsics[:2] + tuple(row["intrinsics"])
+        return Sample(
+            rgb,
+            depth.astype(np.float32) * np.float32(1e-3),
+            np.array(row["boxes"], dtype=np.float32).reshape(-1, 4),
+            np.array(row["labels"], dtype=np.int64),
+            np.array(row["difficult"], dtype=bool),
+            np.array(row["T_c_object"], dtype=np.float64).reshape(-1, 4, 4),
+            Intrinsics(*camera),
+        )
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path}: expected JSON, got {error}") from error
+    if not isinstance(value, dict):
+        raise ValueError(f"{path}: expected a JSON object, got {type(value).__name__}")
+    return value
+
+
+_ROW = {"boxes": 4, "labels": None, "visibility": None, "difficult": None, "T_c_object": 16}
+
+
+def _read_rows(path: Path, classes: int) -> list[dict[str, Any]]:
+    if not path.is_file():
+        raise ValueError(f"{path}: expected the labels of the pictures, there is no such file")
+    text = path.read_text(encoding="utf-8")
+    lines = text.split("\n")[:-1]  # what follows the last line break is still being written
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            row = json.loads(line)
+            counts = {len(row[name]) for name in _ROW}
+            sound = len(counts) == 1 and len(row["intrinsics"]) == 4 and int(row["image"]) >= 0
+            sound &= all(len(item) == size for name, size in _ROW.items() if size for item in row[name])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path}, line {number}: expected the labels of a picture, got {error!r}") from error
+        if not sound:
+            raise ValueError(f"{path}, line {number}: expected as many boxes, labels, … as each other")
+        if not all(isinstance(label, int) and 0 <= label < classes for label in row["labels"]):
+            raise ValueError(f"{path}, line {number}: expected labels from 0 to {classes - 1}, got {row['labels']}")
+        rows.append(row)
+    return rows
+
+
+def _read_image(path: Path, shape: tuple[int, ...], dtype: type) -> NDArray[Any]:
+    try:
+        with Image.open(path) as image:
+            pixels = np.asarray(image)
+    except (OSError, SyntaxError, ValueError) as error:  # Pillow's, for a damaged file
+        raise ValueError(f"{path}: expected a picture of {shape[1]} × {shape[0]} px, got {error}") from error
+    if pixels.shape != shape or pixels.dtype != dtype:
+        raise ValueError(f"{path}: expected {shape} {np.dtype(dtype).name}, got {pixels.shape} {pixels.dtype.name}")
+    return pixels
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of `aerograsp dataset detect`."""
+    parser.add_argument("--out", required=True, type=Path, help="folder of the data set; goes on with one begun there")
+    parser.add_argument("--images", type=int, default=12000, help="how many pictures (default %(default)s)")
+    parser.add_argument("--split", choices=tuple(SPLITS), default="train", help="whose scenes (default %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help=f"0–{SEEDS - 1} (default %(default)s)")
+    parser.add_argument("--size", type=int, nargs=2, default=(320, 240), metavar=("W", "H"), help="pixels (320 240)")
+    parser.add_argument("--no-randomize", action="store_true", help="nominal shapes, fixed looks, one light, plain grounds")
+    parser.add_argument("--workers", type=int, default=1, help="processes (default %(default)s)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write a data set; 130 if interrupted, which loses at most the block in work."""
+    command = "aerograsp " + shlex.join(sys.argv[1:])
+    try:
+        folder = write_dataset(
+            *(args.out, args.images, args.seed, args.split, (args.size[0], args.size[1]), not args.no_randomize),
+            *(args.workers, True, command),
+        )
+    except KeyboardInterrupt:
+        with contextlib.suppress(OSError, ValueError):
+            print(f"interrupted; {args.out} keeps its pictures, the same command goes on", file=sys.stderr)
+        return 130
+    print(f"{folder}: {len(DetectDataset(folder))} pictures")
+    return 0
+
+
+def main(argv: list[str] | None = None) -> int:
+    """`python -m agents.detect_dataset`, the same as `aerograsp dataset detect`."""
+    parser = argparse.ArgumentParser(prog="aerograsp dataset detect", description=__doc__.split("\n")[0])
+    add_arguments(parser)
+    return run(parser.parse_args(argv))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
