@@ -6,9 +6,9 @@ jitter, normal noise of the disparity and its quantisation, lost pixels at grazi
 Depth z has the disparity k / z (k is focal length times baseline). Normal noise of the disparity with a constant σ
 gives depth a σ quadratic in z, and steps of disparity give steps of depth quadratic in z (Khoshelham & Elberink 2012,
 "Accuracy and resolution of Kinect depth data for indoor mapping applications"). Their Kinect: σ_z = 1.425 mm · z²,
-steps of 2.85 mm · z². The lateral jitter follows Nguyen, Izadi & Lovell 2012, "Modeling Kinect sensor noise for improved
-3D reconstruction and tracking", and the order of jitter, noise and quantisation Barron & Malik 2013, "Intrinsic scene
-properties from a single RGB-D image".
+steps of 2.85 mm · z². The lateral jitter follows Nguyen, Izadi & Lovell 2012, "Modeling Kinect sensor noise for
+improved 3D reconstruction and tracking", and the order of jitter, noise and quantisation Barron & Malik 2013,
+"Intrinsic scene properties from a single RGB-D image".
 """
 
 from __future__ import annotations

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-_SHADOW_BIAS = 1e-5  # [m]
+from aerograsp_env.sim.kernel_math import compiled
+
 _HAZE_LENGTH = 40.0  # [m] at which a surface has lost 63 % of its contrast
+_LEAST_HAZE = 1e-3  # below it, at 1.3 m, no byte changes
 _SKY_FALLOFF = 8  # how fast the sky darkens from the horizon up
 _DIRECTIONAL, _SPOT = 0, 1  # shading.DIRECTIONAL, SPOT
 _CHECKER, _PLANE, _BOX = 1, 2, 3  # ray_textures.CHECKER, PLANE, BOX
-
-compiled = numba.njit(cache=True, error_model="numpy")
 
 
 @compiled
@@ -33,42 +32,43 @@ def pixel_rays(width, height, R, fx, fy, cx, cy):
 
 
 @compiled
-def depth_of(geom, distance):
-    """Depth (N,) with 0 for a miss."""
-    depth = np.zeros(len(geom), np.float32)
-    for i in range(len(geom)):
-        if geom[i] >= 0:
-            depth[i] = distance[i]
-    return depth
+def _texel(pyramids, image, level, u, v):
+    """Colour at (u, v) in [0, 1) periods, between the four nearest texels of one level."""
+    start, height, width = (
+        pyramids.levels[image, level, 0],
+        pyramids.levels[image, level, 1],
+        pyramids.levels[image, level, 2],
+    )
+    x, y = u * width + (width - 0.5), v * height + (height - 0.5)  # a period further, so that int() rounds down
+    c0, r0 = int(x), int(y)
+    a, b = x - c0, y - r0
+    c0, r0 = c0 - width if c0 >= width else c0, r0 - height if r0 >= height else r0
+    c1, r1 = c0 + 1 if c0 + 1 < width else 0, r0 + 1 if r0 + 1 < height else 0
+    p, q = start + r0 * width, start + r1 * width
+    w, x, y, z = (1.0 - a) * (1.0 - b), a * (1.0 - b), (1.0 - a) * b, a * b
+    t = pyramids.texels
+    return (
+        w * t[p + c0, 0] + x * t[p + c1, 0] + y * t[q + c0, 0] + z * t[q + c1, 0],
+        w * t[p + c0, 1] + x * t[p + c1, 1] + y * t[q + c0, 1] + z * t[q + c1, 1],
+        w * t[p + c0, 2] + x * t[p + c1, 2] + y * t[q + c0, 2] + z * t[q + c1, 2],
+    )
 
 
 @compiled
-def _texel(pyramids, image, level, u, v, k):
-    """Channel k at (u, v) periods, between the four nearest texels of one level."""
-    start, height, width = pyramids.levels[image, level]
-    x, y = u * width - 0.5, v * height - 0.5
-    fx, fy = math.floor(x), math.floor(y)
-    c0, r0 = int(fx) % width, int(fy) % height
-    c1, r1 = (c0 + 1) % width, (r0 + 1) % height
-    a, b = x - fx, y - fy
-    texels = pyramids.texels
-    top = (1.0 - a) * texels[start + r0 * width + c0, k] + a * texels[start + r0 * width + c1, k]
-    low = (1.0 - a) * texels[start + r1 * width + c0, k] + a * texels[start + r1 * width + c1, k]
-    return (1.0 - b) * top + b * low
-
-
-@compiled
-def _read(pyramids, image, u, v, footprint, color):
-    """Multiply the image's colour at (u, v) into `color`; `footprint`: how many texels of level 0 a pixel spans."""
+def _read(pyramids, image, u, v, footprint):
+    """The image's colour at (u, v) periods; `footprint`: how many texels of level 0 a pixel spans."""
+    u, v = u - math.floor(u), v - math.floor(v)
+    if footprint <= 1.0:
+        return _texel(pyramids, image, 0, u, v)
     top = pyramids.depths[image] - 1
-    level = min(max(math.log2(max(footprint, 1e-9)), 0.0), float(top))
-    first = min(int(level), top)
+    level = min(math.log2(footprint), float(top))
+    first = int(level)
     part = level - first
-    for k in range(3):
-        value = _texel(pyramids, image, first, u, v, k)
-        if part > 0.0:
-            value += part * (_texel(pyramids, image, first + 1, u, v, k) - value)
-        color[k] *= value
+    a = _texel(pyramids, image, first, u, v)
+    if part == 0.0:
+        return a
+    b = _texel(pyramids, image, first + 1, u, v)
+    return a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]), a[2] + part * (b[2] - a[2])
 
 
 @compiled
@@ -78,66 +78,60 @@ def _wave(u):
 
 
 @compiled
-def _paint(covers, pyramids, geom, point, normal, ray, depth, steps, color):
-    """Multiply the texture of `geom` at `point` (3,) into `color` (3,).
+def _mean_wave(u, width):
+    """Mean of that square wave over `width` around u."""
+    return (_wave(u + 0.5 * width) - _wave(u - 0.5 * width)) / max(width, 1e-9)
+
+
+@compiled
+def _paint(covers, pyramids, geom, point, normal, ray, depth, steps):
+    """Colour of the texture of `geom` at `point` (3,).
 
     ray (3,): from the camera, of length 1 along its axis; steps (2, 3): from it to the next rays across and down.
     """
     texture, kind, R = covers.texture[geom], covers.kind[geom], covers.rotation[geom]
-    p, n, d = np.empty(3), np.empty(3), np.empty(3)
-    for k in range(3):
-        p[k] = n[k] = d[k] = 0.0
-        for j in range(3):
-            p[k] += R[j, k] * (point[j] - covers.origin[geom, j])
-            n[k] += R[j, k] * normal[j]
-            d[k] += R[j, k] * ray[j]
+    x, y, z = point[0] - covers.origin[geom, 0], point[1] - covers.origin[geom, 1], point[2] - covers.origin[geom, 2]
+    p = _into(R, x, y, z)
+    low, high, across, down = covers.low[geom], covers.high[geom], covers.across[geom], covers.down[geom]
     if kind == _CHECKER:
         # A square wave's integral is a triangle wave, so its mean over a pixel's footprint is a difference of two.
-        wave = 1.0
-        for axis in range(2):
-            if axis == 0:
-                rate, u = covers.across[geom, 0], (p[0] - covers.low[geom, 0]) * covers.across[geom, 0]
-            else:
-                rate, u = covers.down[geom, 1], (covers.high[geom, 1] - p[1]) * covers.down[geom, 1]
-            slope, width = d[axis] / d[2], 0.0
-            for s in range(2):
-                along = up = 0.0
-                for j in range(3):
-                    along += R[j, axis] * steps[s, j]
-                    up += R[j, 2] * steps[s, j]
-                width += abs(along - slope * up)
-            width *= depth * abs(rate)
-            wave *= (_wave(u + 0.5 * width) - _wave(u - 0.5 * width)) / max(width, 1e-9)
-        for k in range(3):
-            color[k] *= pyramids.mean[texture, k] * (1.0 + wave * pyramids.contrast[texture, k])
-        return
-    length, cosine, step = 0.0, 0.0, 0.0
-    for k in range(3):
-        length += ray[k] ** 2
-        cosine += ray[k] * normal[k]
-        step += steps[0, k] ** 2
+        d = _into(R, ray[0], ray[1], ray[2])
+        a, b = _into(R, steps[0, 0], steps[0, 1], steps[0, 2]), _into(R, steps[1, 0], steps[1, 1], steps[1, 2])
+        slope_u, slope_v = d[0] / d[2], d[1] / d[2]
+        width = (abs(a[0] - slope_u * a[2]) + abs(b[0] - slope_u * b[2])) * depth * abs(across[0])
+        height = (abs(a[1] - slope_v * a[2]) + abs(b[1] - slope_v * b[2])) * depth * abs(down[1])
+        wave = _mean_wave((p[0] - low[0]) * across[0], width) * _mean_wave((high[1] - p[1]) * down[1], height)
+        m, c = pyramids.mean[texture], pyramids.contrast[texture]
+        return m[0] * (1.0 + wave * c[0]), m[1] * (1.0 + wave * c[1]), m[2] * (1.0 + wave * c[2])
+
+    length = math.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
+    cosine = abs(ray[0] * normal[0] + ray[1] * normal[1] + ray[2] * normal[2]) / length
     # Seen at an angle a pixel is long on the surface: the middle between its sides is neither blurred nor noisy.
-    pitch = depth * math.sqrt(step / max(abs(cosine) / math.sqrt(length), 0.02))  # [m] a pixel spans
+    step = math.sqrt(steps[0, 0] ** 2 + steps[0, 1] ** 2 + steps[0, 2] ** 2)
+    pitch = depth * step / math.sqrt(max(cosine, 0.02))  # [m] a pixel spans
     image = pyramids.first[texture]
+    rows, columns = pyramids.levels[image, 0, 1], pyramids.levels[image, 0, 2]
     if kind in (_PLANE, _BOX):
-        axis = 2
+        axis, mirrored = 2, False
         if kind == _BOX:
-            axis = 0 if abs(n[0]) >= abs(n[1]) and abs(n[0]) >= abs(n[2]) else (1 if abs(n[1]) >= abs(n[2]) else 2)
+            n = _into(R, normal[0], normal[1], normal[2])
+            if abs(n[0]) >= abs(n[1]) and abs(n[0]) >= abs(n[2]):
+                axis, mirrored = 0, n[0] < 0.0
+            elif abs(n[1]) >= abs(n[2]):
+                axis, mirrored = 1, n[1] > 0.0
+            else:
+                mirrored = n[2] < 0.0
         a, b = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
-        u = (p[a] - covers.low[geom, a]) * covers.across[geom, a]
-        v = (covers.high[geom, b] - p[b]) * covers.down[geom, b]
-        if kind == _BOX and (n[axis] < 0.0) != (axis == 1):
-            u = -u  # not mirrored when seen from outside
-        height, width = pyramids.levels[image, 0, 1], pyramids.levels[image, 0, 2]
-        texels = max(abs(covers.across[geom, a]) * width, abs(covers.down[geom, b]) * height)
-        _read(pyramids, image, u, v, pitch * texels, color)
-        return
+        u = (p[a] - low[a]) * across[a]
+        v = (high[b] - p[b]) * down[b]
+        if mirrored:  # seen from outside it is not
+            u = -u
+        return _read(pyramids, image, u, v, pitch * max(abs(across[a]) * columns, abs(down[b]) * rows))
     # A cube: MuJoCo's order is right, left, up, down, front, back; OpenGL's orientation of each.
-    scale = 0.0
-    for k in range(3):
-        p[k] = (p[k] - 0.5 * (covers.low[geom, k] + covers.high[geom, k])) * 2.0 * covers.across[geom, k]
-        scale = max(scale, abs(p[k]))
-    x, y, z = p[0], p[1], p[2]
+    x = (p[0] - 0.5 * (low[0] + high[0])) * 2.0 * across[0]
+    y = (p[1] - 0.5 * (low[1] + high[1])) * 2.0 * across[1]
+    z = (p[2] - 0.5 * (low[2] + high[2])) * 2.0 * across[2]
+    scale = max(abs(x), abs(y), abs(z), 1e-12)
     if abs(x) >= scale:
         face, s, t = (0, -z, -y) if x > 0.0 else (1, z, -y)
     elif abs(y) >= scale:
@@ -146,11 +140,19 @@ def _paint(covers, pyramids, geom, point, normal, ray, depth, steps, color):
         face, s, t = (4, x, -y) if z > 0.0 else (5, -x, -y)
     if pyramids.faces[texture] == 1:
         face = 0
-    scale = max(scale, 1e-12)
-    half = 0.5 / pyramids.levels[image, 0, 2]  # no wrapping over a face's edge
+    half = 0.5 / columns  # no wrapping over a face's edge
     u, v = min(max(0.5 + 0.5 * s / scale, half), 1.0 - half), min(max(0.5 + 0.5 * t / scale, half), 1.0 - half)
-    texels = covers.across[geom].max() / scale * pyramids.levels[image, 0, 2]
-    _read(pyramids, image + face, u, v, pitch * texels, color)
+    return _read(pyramids, image + face, u, v, pitch * max(across[0], across[1], across[2]) / scale * columns)
+
+
+@compiled
+def _into(R, x, y, z):
+    """Rᵀ @ (x, y, z): world to texture's frame."""
+    return (
+        R[0, 0] * x + R[1, 0] * y + R[2, 0] * z,
+        R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
+        R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
+    )
 
 
 @compiled
@@ -166,24 +168,25 @@ def shade(rays, geom, distance, normal, view, steps, rgba, covers, pyramids, sky
     """
     count = len(geom)
     color, albedo, point = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.empty((count, 3))
-    own = np.empty(3)
     for i in range(count):
         g = geom[i]
         if g < 0:
-            _sky(rays[i], sky, color[i])
+            color[i, 0], color[i, 1], color[i, 2] = _sky(rays[i], sky)
             continue
         facing = rays[i, 0] * normal[i, 0] + rays[i, 1] * normal[i, 1] + rays[i, 2] * normal[i, 2]
         for k in range(3):
             if facing > 0.0:
                 normal[i, k] = -normal[i, k]
             point[i, k] = view[k] + distance[i] * rays[i, k]
-            own[k] = rgba[g, k]
+            albedo[i, k] = rgba[g, k]
         if covers.kind[g] != 0:
-            _paint(covers, pyramids, g, point[i], normal[i], rays[i], distance[i], steps, own)
+            paint = _paint(covers, pyramids, g, point[i], normal[i], rays[i], distance[i], steps)
+            albedo[i, 0] *= paint[0]
+            albedo[i, 1] *= paint[1]
+            albedo[i, 2] *= paint[2]
         up = 0.5 + 0.5 * normal[i, 2]
         for k in range(3):
-            albedo[i, k] = own[k]
-            color[i, k] = own[k] * (sky.below[k] + up * (sky.above[k] - sky.below[k]))
+            color[i, k] = albedo[i, k] * (sky.below[k] + up * (sky.above[k] - sky.below[k]))
     return color, albedo, point
 
 
@@ -217,16 +220,13 @@ def reach(lights, index, geom, point, normal):
 
 
 @compiled
-def add_light(color, albedo, rays, geom, normal, rows, to, strength, first, distance, light, gloss):
-    """Add one light (3,) to `color` where nothing stands before the points: the first thing met is the surface.
-
-    rows, to, strength: what `reach` returned; first, distance (M,): the cast of its rays, or empty for no shadows.
-    """
+def add_light(color, albedo, rays, geom, normal, rows, to, strength, shadow, light, gloss):
+    """Add one light (3,) to `color` where it is not in the `shadow` (M,). rows, to, strength: what `reach` returned."""
     for j in range(len(rows)):
+        if shadow[j]:
+            continue
         i = rows[j]
         length = math.sqrt(to[j, 0] ** 2 + to[j, 1] ** 2 + to[j, 2] ** 2)
-        if len(first) and first[j] >= 0 and distance[j] <= 1.0 - _SHADOW_BIAS / length:
-            continue
         shine = gloss[geom[i], 0]
         if shine > 0.0:  # Blinn 1977
             d = math.sqrt(rays[i, 0] ** 2 + rays[i, 1] ** 2 + rays[i, 2] ** 2)
@@ -245,23 +245,25 @@ def add_light(color, albedo, rays, geom, normal, rows, to, strength, first, dist
 @compiled
 def add_haze(color, rays, geom, distance, sky):
     """Blend surfaces into the sky behind them with distance."""
-    behind = np.empty(3, np.float32)
     for i in range(len(geom)):
         if geom[i] < 0:
             continue
         square = rays[i, 0] ** 2 + rays[i, 1] ** 2 + rays[i, 2] ** 2
-        haze = -math.expm1(-(distance[i] ** 2) * square / _HAZE_LENGTH**2)
-        _sky(rays[i], sky, behind)
-        for k in range(3):
-            color[i, k] += haze * (behind[k] - color[i, k])
+        square *= (distance[i] / _HAZE_LENGTH) ** 2
+        if square > _LEAST_HAZE:
+            haze = -math.expm1(-square)
+            behind = _sky(rays[i], sky)
+            color[i, 0] += haze * (behind[0] - color[i, 0])
+            color[i, 1] += haze * (behind[1] - color[i, 1])
+            color[i, 2] += haze * (behind[2] - color[i, 2])
 
 
 @compiled
-def _sky(ray, sky, out):
-    sine = ray[2] / math.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
-    low = (1.0 - max(sine, 0.0)) ** _SKY_FALLOFF
-    for k in range(3):
-        out[k] = sky.zenith[k] + low * (sky.horizon[k] - sky.zenith[k])
+def _sky(ray, sky):
+    sine = max(ray[2] / math.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2), 0.0)
+    low = (1.0 - sine) ** _SKY_FALLOFF
+    a, b = sky.zenith, sky.horizon
+    return a[0] + low * (b[0] - a[0]), a[1] + low * (b[1] - a[1]), a[2] + low * (b[2] - a[2])
 
 
 @compiled

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import mujoco
@@ -12,16 +10,12 @@ from numpy.typing import NDArray
 
 from aerograsp_env.sim import ray_kernel as kernel
 from aerograsp_env.sim.cameras import Camera, Frame, View, camera_view, open_model
+from aerograsp_env.sim.ray_cast import Hits, Shapes, cast, in_shadow, shapes_of
+from aerograsp_env.sim.ray_mesh import meshes_of
 from aerograsp_env.sim.ray_textures import Covers, lay_textures, mesh_frames, read_textures
 from aerograsp_env.sim.shading import SRGB_OF_LINEAR, Sky, geom_colors, gloss, lights_of, sky_of
 
 Array = NDArray[Any]
-
-
-class _Hits(NamedTuple):
-    geom: NDArray[np.int32]  # (N,), −1 for a miss
-    distance: NDArray[np.float64]  # (N,) in lengths of the ray's direction
-    normal: NDArray[np.float64]  # (N, 3) world, unit; (0, 3) if not asked for
 
 
 class _Scene(NamedTuple):
@@ -37,11 +31,7 @@ class _Scene(NamedTuple):
 
 
 class RayRenderer:
-    """Renderer by ray casting; see `aerograsp_env.sim.rendering`.
-
-    While a picture with translucent geoms is drawn, those geoms are hidden in the model, and shown again after:
-    threads that share one model must not draw it or cast rays in it at the same time.
-    """
+    """Renderer by ray casting; see `aerograsp_env.sim.rendering`."""
 
     backend = "ray"
 
@@ -51,9 +41,8 @@ class RayRenderer:
         self._samples = samples
         self._groups = groups
         self._textures = read_textures(model)
-        self._meshes = (
-            mesh_frames(model) if model.ntex else (np.empty((0, 3, 3)), np.empty((0, 3)), np.empty((0, 2, 3)))
-        )
+        self._frames = mesh_frames(model)
+        self._meshes = meshes_of(model)
 
     def close(self) -> None:
         """Drop the model; drawing afterwards raises RuntimeError."""
@@ -72,14 +61,15 @@ class RayRenderer:
         model = open_model(self._model, data)
         view = camera_view(model, data, camera, self.width, self.height)
         shape = (self.height, self.width)
-        if depth_only or self._samples > 1:
-            hits = self._cast(model, data, view.position, self._rays(view, 0.5, 0.5), normals=False)
-            rgb = np.zeros((*shape, 3), np.uint8) if depth_only else self._picture(model, data, view)
+        rgba = geom_colors(model)
+        rays = self._rays(view, 0.5, 0.5)
+        shaded = not depth_only and self._samples == 1
+        hits = cast(self._shapes(model, data, rgba), view.position, rays, normals=shaded)
+        if shaded:
+            rgb = self._encode(self._colors(self._scene(model, data, view, rgba), rays, hits, 0), 1)
         else:
-            rays = self._rays(view, 0.5, 0.5)
-            hits = self._cast(model, data, view.position, rays)
-            rgb = self._encode(self._colors(self._scene(model, data, view), rays, hits, 0), 1)
-        return Frame(rgb, kernel.depth_of(hits.geom, hits.distance).reshape(shape), hits.geom.reshape(shape))
+            rgb = np.zeros((*shape, 3), np.uint8) if depth_only else self._picture(model, data, view)
+        return Frame(rgb, hits.distance.astype(np.float32).reshape(shape), hits.geom.reshape(shape))
 
     def depth(self, data: mujoco.MjData, camera: Camera) -> NDArray[np.float32]:
         """Depth (H, W) along the optical axis [m], 0 where there is no return."""
@@ -91,12 +81,13 @@ class RayRenderer:
         return self._picture(model, data, camera_view(model, data, camera, self.width, self.height))
 
     def _picture(self, model: mujoco.MjModel, data: mujoco.MjData, view: View) -> NDArray[np.uint8]:
-        scene, n = self._scene(model, data, view), self._samples
+        scene, n = self._scene(model, data, view, geom_colors(model)), self._samples
+        shapes = self._shapes(model, data, scene.rgba)
         picture = np.zeros((self.height * self.width, 3), dtype=np.float32)
         for i in range(n * n):
             row, column = divmod(i, n)
             rays = self._rays(view, (column + 0.5) / n, (row + 0.5) / n)
-            picture += self._colors(scene, rays, self._cast(model, data, view.position, rays), i)
+            picture += self._colors(scene, rays, cast(shapes, view.position, rays), i)
         return self._encode(picture, n * n)
 
     def _encode(self, linear: Array, passes: int) -> NDArray[np.uint8]:
@@ -104,43 +95,38 @@ class RayRenderer:
         kernel.encode(linear, 1.0 / passes, SRGB_OF_LINEAR, picture.reshape(-1, 3))
         return picture
 
-    def _scene(self, model: mujoco.MjModel, data: mujoco.MjData, view: View) -> _Scene:
-        covers = lay_textures(model, data, self._textures, self._meshes)
-        return _Scene(model, data, view, geom_colors(model), gloss(model), covers, sky_of(model))
+    def _scene(self, model: mujoco.MjModel, data: mujoco.MjData, view: View, rgba: NDArray[np.float32]) -> _Scene:
+        covers = lay_textures(model, data, self._textures, self._frames)
+        return _Scene(model, data, view, rgba, gloss(model), covers, sky_of(model))
+
+    def _shapes(
+        self, model: mujoco.MjModel, data: mujoco.MjData, rgba: NDArray[np.float32], opaque: bool = False
+    ) -> Shapes:
+        """What rays meet: the groups that are drawn, without what is invisible (or, if `opaque`, translucent)."""
+        seen = self._groups[model.geom_group.clip(0, mujoco.mjNGROUP - 1)] > 0
+        seen &= (rgba[:, 3] >= 1.0) if opaque else (rgba[:, 3] > 0.0)
+        return shapes_of(model, data, seen, self._meshes)
 
     def _rays(self, view: View, u: float, v: float) -> Array:
         """World directions (H·W, 3) through the point (u, v) of each pixel; ray parameters are depths."""
         return kernel.pixel_rays(self.width, self.height, view.R_w_c, view.fx, view.fy, view.cx - u, view.cy - v)
 
-    def _cast(
-        self, model: mujoco.MjModel, data: mujoco.MjData, origin: Array, rays: Array, normals: bool = True
-    ) -> _Hits:
-        count = len(rays)
-        geom, distance, normal = np.empty(count, np.int32), np.empty(count), np.empty((count if normals else 0, 3))
-        if count:
-            mujoco.mj_multiRay(
-                *(model, data, origin, rays.ravel(), self._groups, True, -1),
-                *(geom, distance, normal.ravel() if normals else None, count, mujoco.mjMAXVAL),
-            )
-        return _Hits(geom, distance, normal)
-
-    def _colors(self, scene: _Scene, rays: Array, hits: _Hits, index: int) -> NDArray[np.float32]:
+    def _colors(self, scene: _Scene, rays: Array, hits: Hits, index: int) -> NDArray[np.float32]:
         """Linear colours (N, 3) that come along the rays from the camera, in pass `index`."""
+        opaque = self._shapes(scene.model, scene.data, scene.rgba, opaque=True)
+        color = self._shade(scene, opaque, rays, hits, index)
         alpha = scene.rgba[:, 3]
-        clear = np.flatnonzero((alpha > 0.0) & (alpha < 1.0))
-        if not clear.size:
-            return self._shade(scene, rays, hits, index)
+        if ((alpha <= 0.0) | (alpha >= 1.0)).all():
+            return color
         # What is translucent casts no shadow; behind it everything is cast again without it.
-        through = np.flatnonzero(np.isin(hits.geom, clear))
-        with _hidden(scene.model, clear):
-            color = self._shade(scene, rays, hits, index)
-            if through.size:
-                behind = self._cast(scene.model, scene.data, scene.view.position, rays[through])
-                back = self._shade(scene, rays[through], behind, index)
-                color[through] = back + alpha[hits.geom[through], None] * (color[through] - back)
+        through = np.flatnonzero((hits.geom >= 0) & (alpha[hits.geom] < 1.0))
+        if through.size:
+            behind = cast(opaque, scene.view.position, rays[through])
+            back = self._shade(scene, opaque, rays[through], behind, index)
+            color[through] = back + alpha[hits.geom[through], None] * (color[through] - back)
         return color
 
-    def _shade(self, scene: _Scene, rays: Array, hits: _Hits, index: int) -> NDArray[np.float32]:
+    def _shade(self, scene: _Scene, opaque: Shapes, rays: Array, hits: Hits, index: int) -> NDArray[np.float32]:
         view = scene.view
         steps = view.R_w_c[:, :2].T / (np.array([[view.fx], [view.fy]]) * self._samples)
         color, albedo, point = kernel.shade(
@@ -150,22 +136,13 @@ class RayRenderer:
         lights = lights_of(scene.model, scene.data, index, self._samples**2)
         for i in range(len(lights.kind)):
             rows, to, strength = kernel.reach(lights, i, hits.geom, point, hits.normal)
-            cast = rows.size > 0 and bool(lights.shadow[i])
-            first = self._cast(scene.model, scene.data, lights.source[i], to if cast else to[:0], normals=False)
+            if lights.shadow[i]:
+                shadow = in_shadow(opaque, lights.source[i], to, hits.geom[rows])
+            else:
+                shadow = np.zeros(len(rows), np.bool_)
             kernel.add_light(
-                *(color, albedo, rays, hits.geom, hits.normal, rows, to, strength),
-                *(first.geom, first.distance, lights.color[i], scene.gloss),
+                *(color, albedo, rays, hits.geom, hits.normal, rows, to, strength, shadow),
+                *(lights.color[i], scene.gloss),
             )
         kernel.add_haze(color, rays, hits.geom, hits.distance, scene.sky)
         return color
-
-
-@contextmanager
-def _hidden(model: mujoco.MjModel, geoms: NDArray[np.intp]) -> Iterator[None]:
-    """Make rays pass through `geoms`. A ray skips geoms without material whose opacity is 0."""
-    alpha, material = model.geom_rgba[geoms, 3].copy(), model.geom_matid[geoms].copy()
-    try:
-        model.geom_rgba[geoms, 3], model.geom_matid[geoms] = 0.0, -1
-        yield
-    finally:
-        model.geom_rgba[geoms, 3], model.geom_matid[geoms] = alpha, material
