@@ -11,6 +11,7 @@ from aerograsp_env.sim.layout import LOCALIZATIONS
 from aerograsp_env.sim.manipulation import layout as lay
 from aerograsp_env.sim.manipulation.config import HOVER, ManipulationConfig, PoseEstimateConfig
 from aerograsp_env.sim.parameters import set_airframe, set_autopilot, set_gusts, set_sensors, set_tool
+from aerograsp_env.sim.scene import JOINT_NAMES
 from aerograsp_env.spatial import transform_points
 
 
@@ -22,9 +23,12 @@ def make_parameters(config: ManipulationConfig, model: mujoco.MjModel) -> np.nda
     set_autopilot(p, config.autopilot)
     set_gusts(p, config.wind)
     set_sensors(p, config, config.sensors)
-    _set_model(p, config, model)
-    _set_arms(p, config, model)
+    if config.vehicle.tool:
+        p["has_tool"] = 1
+        set_tool(p, config.tool, config.airframe, model)
+    _set_arms(p, config)
     _set_mass(p, config)
+    set_addresses(p, config, model)
 
     p["localization"] = LOCALIZATIONS[config.localization]
     p["velocity_limit"], p["yaw_rate_limit"] = config.velocity_limit, config.yaw_rate_limit
@@ -37,28 +41,31 @@ def make_parameters(config: ManipulationConfig, model: mujoco.MjModel) -> np.nda
     return p
 
 
-def _set_model(p: np.ndarray, config: ManipulationConfig, model: mujoco.MjModel) -> None:
+def set_addresses(p: np.ndarray, config: ManipulationConfig, model: mujoco.MjModel) -> None:
+    """Sizes of a model and where the vehicle's parts stand in it, in place: all that differs between models."""
     for name in ("nq", "nv", "nu", "nbody", "nsensordata"):
         p[name] = getattr(model, name)
+    p["airframe_body"] = model.body("airframe").id
     if config.vehicle.tool:
-        p["has_tool"] = 1
         p["clamp_address"] = model.sensor("clamp_force").adr[0]
-        set_tool(p, config.tool, config.airframe, model)
-    bodies = {model.body(i).name for i in range(model.nbody)}
-    p["object_address"] = model.jnt_qposadr[model.body("object").jntadr[0]] if "object" in bodies else -1
-    sensors = {model.sensor(i).name: int(model.sensor(i).adr[0]) for i in range(model.nsensor)}
+        p["base_body"] = model.body("tool_base").id
+        p["joint_address"] = [model.joint(name).qposadr[0] for name in JOINT_NAMES]
+    for i, mount in enumerate(config.machine.mounts):
+        first = mount.prefix + mount.arm.joints[0].name
+        p["arm_qpos"][i] = model.joint(first).qposadr[0]
+        p["arm_ctrl"][i] = model.actuator(first).id
+    loose = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "object")
+    p["object_address"] = model.jnt_qposadr[model.body_jntadr[loose]] if loose >= 0 else -1
+    sensors = {model.sensor(i).name: int(model.sensor_adr[i]) for i in range(model.nsensor)}
     p["contact_address"] = [sensors.get(f"touch_{name}", -1) for name in lay.CONTACTS]
 
 
-def _set_arms(p: np.ndarray, config: ManipulationConfig, model: mujoco.MjModel) -> None:
+def _set_arms(p: np.ndarray, config: ManipulationConfig) -> None:
     mounts = config.machine.mounts
     p["arms"] = len(mounts)
     for i, mount in enumerate(mounts):
         arm, n = mount.arm, mount.arm.n
         p["joints"][i] = n
-        first = model.joint(mount.prefix + arm.joints[0].name)
-        p["arm_qpos"][i] = first.qposadr[0]
-        p["arm_ctrl"][i] = model.actuator(mount.prefix + arm.joints[0].name).id
         p["placement"][i, :n] = [joint.T_parent_joint for joint in arm.joints]
         p["placement"][i, 0] = mount.T_body_base @ arm.joints[0].T_parent_joint
         p["axis"][i, :n] = [joint.axis for joint in arm.joints]

@@ -16,7 +16,7 @@ from aerograsp_env.sim.layout import NOISE_BLOCK
 from aerograsp_env.sim.manipulation import kernel
 from aerograsp_env.sim.manipulation import layout as lay
 from aerograsp_env.sim.manipulation.config import ManipulationConfig
-from aerograsp_env.sim.manipulation.parameters import make_parameters
+from aerograsp_env.sim.manipulation.parameters import make_parameters, set_addresses
 from aerograsp_env.sim.manipulation.reset import reset_world
 from aerograsp_env.sim.manipulation.scene import build_model
 from aerograsp_env.sim.manipulation.task import Task
@@ -75,7 +75,9 @@ class ManipulationWorlds:
     def _use(self, index: int, model: mujoco.MjModel) -> None:
         """World `index` lives in `model` from now on, or in a copy of it where its vehicle is drawn."""
         if model is not self._nominal[index]:
-            self._nominal[index], self._blank[index] = model, make_parameters(self.config, model)
+            blank = self._blank[index].copy()
+            set_addresses(blank, self.config, model)
+            self._nominal[index], self._blank[index] = model, blank
         own = copy.copy(model) if self.config.randomize is not None else model
         data = mujoco.MjData(own)
         self.models[index], self.datas[index] = own, data
