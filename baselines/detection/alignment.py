@@ -33,9 +33,9 @@ class Stage(NamedTuple):
 
 STAGES = (
     Stage(2 * STARTS, 60, 60, 0, 0.15, 0.15),
-    Stage(48, 80, 100, 8, 0.25, 0.10),
-    Stage(8, 200, 200, 10, 0.12, 0.0),
-    Stage(2, 500, 300, 12, 0.08, 0.0),
+    Stage(40, 70, 80, 7, 0.25, 0.10),
+    Stage(7, 150, 200, 9, 0.12, 0.0),
+    Stage(2, 300, 300, 10, 0.08, 0.0),
 )
 
 
@@ -52,6 +52,7 @@ class BestPose(NamedTuple):
     """The best pose found, and how well it agrees."""
 
     T: Array  # (4, 4) maps the model's frame to the cloud's
+    stretch: Array  # (3,) the object's size along the model's axes, relative to the model
     score: float  # in [0, 1]: closeness of the cloud to the model × share of the model seen where it should be
     inlier_fraction: float  # share of the cloud within the gate
     rmse: float  # [m] of the inliers' distances to tangent planes; NaN without inliers
@@ -136,23 +137,29 @@ def best_pose(
     else:
         start = inverse(check_transform(T_init, "T_init"))
         Rs, ts, stages = start[None, :3, :3].copy(), start[None, :3, 3].copy(), STAGES[2:]
-    scores = np.zeros(len(Rs))
+    ds, scores = np.ones((len(Rs), 3)), np.zeros(len(Rs))
     for stage in stages:
         best = np.argsort(-scores, kind="stable")[: stage.kept]
-        Rs, ts = Rs[best], ts[best]
+        Rs, ts, ds = Rs[best], ts[best], ds[best]
+        most = shape.stretch if stage is stages[-1] else 1.0
+        if most > 1.0:  # as they are, and stretched to the cloud's outline: the better one stays
+            more = [_stretched(points, eye, R, t, shape) for R, t in zip(Rs, ts, strict=True)]
+            Rs = np.concatenate([Rs, Rs])
+            ts = np.concatenate([ts, [t for t, _ in more]])
+            ds = np.concatenate([ds, [d for _, d in more]])
         last = max(stage.last * shape.diameter, gate)
         first = max(stage.first * shape.diameter, last)
-        some = _spread(points, stage.points)
+        some, size = _spread(points, stage.points), shape.diameter
         looked = _spread(np.arange(len(shape.points)), stage.looked)
         scores = kernel.refine(
-            some, eye, Rs, ts, *_surface(shape), looked, camera, depth, first, last, stage.steps, shape.diameter
+            some, eye, Rs, ts, ds, *_surface(shape), looked, camera, depth, first, last, stage.steps, size, most
         )
     winner = int(np.argmax(scores))
-    R, t, score = Rs[winner], ts[winner], float(scores[winner])
-    inside, cost, rmse = kernel.fit(points, eye, R, t, *_surface(shape), gate)
+    R, t, d, score = Rs[winner], ts[winner], ds[winner], float(scores[winner])
+    inside, cost, rmse = kernel.fit(points, R, t, d, *_surface(shape), gate)
     seen = score / (1.0 - cost) if cost < 1.0 else 0.0
     steps = sum(stage.steps for stage in stages)
-    return BestPose(inverse(transform(R, t)), score, float(inside), float(rmse), float(seen), steps)
+    return BestPose(inverse(transform(R, t)), 1.0 / d, score, float(inside), float(rmse), float(seen), steps)
 
 
 def _surface(shape: ShapeModel) -> tuple[Array, Array, Array, float, NDArray[np.int32]]:
@@ -164,6 +171,36 @@ def _spread(rows: NDArray, count: int) -> NDArray:
     if len(rows) <= count:
         return rows
     return rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)]
+
+
+def _stretched(points: Array, viewpoint: Array, R: Array, t: Array, shape: ShapeModel) -> tuple[Array, Array]:
+    """Shift (3,) and stretch (3,) that bring the cloud's extents along the model's axes to those of what would be seen.
+
+    Along an axis where less than half of the model would be seen, only the side that is seen is brought into place, and
+    the stretch is the mean of the others.
+    """
+    some = _spread(np.arange(len(shape.points)), 400)
+    surface, normals = shape.points[some], shape.normals[some]
+    eye = R @ viewpoint + t
+    facing = np.einsum("ni,ni->n", normals, eye - surface) > 0.0
+    if not facing.any():
+        return t, np.ones(3)
+    cloud = points @ R.T + t
+    near = cloud[np.abs(cloud - np.median(cloud, axis=0)).max(axis=1) < shape.stretch * shape.diameter]
+    (low, high), (least, most) = np.percentile(near, (1.0, 99.0), axis=0), _ends(surface[facing])
+    whole = np.ptp(shape.points, axis=0)
+    shown = (most - least > 0.5 * whole) & (high > low)
+    ratio = np.where(shown, (high - low) / np.where(shown, most - least, 1.0), np.nan)
+    ratio = np.where(shown, ratio, np.exp(np.nanmean(np.log(ratio))) if shown.any() else 1.0)
+    ratio = np.clip(ratio, 1.0 / shape.stretch, shape.stretch)
+    # What is seen of the model, times the ratio, shall lie on the cloud: its middle, or its side towards the camera.
+    middle = 0.5 * (low + high) - 0.5 * ratio * (least + most)
+    side = np.where(eye > 0.0, high - ratio * most, low - ratio * least)
+    return t - np.where(shown, middle, side), 1.0 / ratio
+
+
+def _ends(points: Array) -> tuple[Array, Array]:
+    return points.min(axis=0), points.max(axis=0)
 
 
 def _view(view: DepthView | None) -> tuple[Array, NDArray[np.float32]]:

@@ -9,6 +9,8 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 POINT_SHARE = 0.1
 """Weight of distances between points next to those to tangent planes: keeps flat parts from sliding."""
+STRETCH_PULL = 1e-4
+"""How much a stretch is drawn to 1: this times the squared diameter, next to the squared distance of one pair."""
 
 
 @compiled
@@ -63,27 +65,31 @@ def _solve(A, b):
 
 
 @compiled
-def iterate(points, viewpoint, R, t, surface, normals, origin, cell, nearest, first_gate, last_gate, iterations, scale):
-    """Move (R, t), which map the cloud into the model's frame, in place towards the model.
+def iterate(
+    points, viewpoint, R, t, d, surface, normals, origin, cell, nearest, first_gate, last_gate, iterations, scale, most
+):
+    """Move (R, t, d), which map the cloud into the model's frame by p -> d * (R p + t), in place towards the model.
 
     Point-to-plane steps with Tukey's weights, whose gate shrinks from the first to the last; pairs with surface that
-    faces away from the viewpoint do not count. `scale` [m] balances turns and shifts in the damping. Returns the number
-    of steps, negative where too few pairs were left.
+    faces away from the viewpoint do not count. Where `most` > 1, the stretch d (3,) along the model's axes is adjusted
+    too, between its inverse and it, and drawn to 1. `scale` [m] balances turns and shifts in the damping. Returns the
+    number of steps, negative where too few pairs were left.
     """
-    A, b, row = np.empty((6, 6)), np.empty(6), np.empty(6)
+    size = 9 if most > 1.0 else 6
+    A, b, row = np.empty((size, size)), np.empty(size), np.empty(size)
     shrink = (last_gate / first_gate) ** (1.0 / max(iterations - 1, 1))
     gate = first_gate
     for step in range(iterations):
         A[:], b[:] = 0.0, 0.0
         limit, pairs = gate * gate, 0
-        vx = R[0, 0] * viewpoint[0] + R[0, 1] * viewpoint[1] + R[0, 2] * viewpoint[2] + t[0]
-        vy = R[1, 0] * viewpoint[0] + R[1, 1] * viewpoint[1] + R[1, 2] * viewpoint[2] + t[1]
-        vz = R[2, 0] * viewpoint[0] + R[2, 1] * viewpoint[1] + R[2, 2] * viewpoint[2] + t[2]
+        vx = d[0] * (R[0, 0] * viewpoint[0] + R[0, 1] * viewpoint[1] + R[0, 2] * viewpoint[2] + t[0])
+        vy = d[1] * (R[1, 0] * viewpoint[0] + R[1, 1] * viewpoint[1] + R[1, 2] * viewpoint[2] + t[1])
+        vz = d[2] * (R[2, 0] * viewpoint[0] + R[2, 1] * viewpoint[1] + R[2, 2] * viewpoint[2] + t[2])
         for i in range(len(points)):
             px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-            x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
-            y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
-            z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+            x = d[0] * (R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0])
+            y = d[1] * (R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1])
+            z = d[2] * (R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2])
             m = _nearest(x, y, z, origin, cell, nearest)
             dx, dy, dz = x - surface[m, 0], y - surface[m, 1], z - surface[m, 2]
             gap = dx * dx + dy * dy + dz * dz
@@ -94,60 +100,92 @@ def iterate(points, viewpoint, R, t, surface, normals, origin, cell, nearest, fi
                 continue
             weight = (1.0 - gap / limit) ** 2
             pairs += 1
-            row[0], row[1], row[2] = nx, ny, nz
-            row[3], row[4], row[5] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
             error = nx * dx + ny * dy + nz * dz
-            for r in range(6):
-                b[r] -= weight * row[r] * error
+            # Each pair measures its difference with the information w (n nᵀ + s I); the difference changes with a shift
+            # v, a turn w and a change of log d, by D (v + w × u) + diag(x) δ, where u = (x, y, z) / d.
+            ux, uy, uz = x / d[0], y / d[1], z / d[2]
+            ax, ay, az = d[0] * nx, d[1] * ny, d[2] * nz
+            row[0], row[1], row[2] = ax, ay, az
+            row[3], row[4], row[5] = uy * az - uz * ay, uz * ax - ux * az, ux * ay - uy * ax
+            if size == 9:
+                row[6], row[7], row[8] = ax * ux, ay * uy, az * uz
+            for r in range(size):
+                scaled = weight * row[r]
+                b[r] -= scaled * error
                 for c in range(r + 1):
-                    A[r, c] += weight * row[r] * row[c]
+                    A[r, c] += scaled * row[c]
             weight *= POINT_SHARE
-            b[0] -= weight * dx
-            b[1] -= weight * dy
-            b[2] -= weight * dz
-            b[3] -= weight * (y * dz - z * dy)
-            b[4] -= weight * (z * dx - x * dz)
-            b[5] -= weight * (x * dy - y * dx)
-            A[0, 0] += weight
-            A[1, 1] += weight
-            A[2, 2] += weight
-            A[3, 1] -= weight * z
-            A[3, 2] += weight * y
-            A[4, 0] += weight * z
-            A[4, 2] -= weight * x
-            A[5, 0] -= weight * y
-            A[5, 1] += weight * x
-            A[3, 3] += weight * (y * y + z * z)
-            A[4, 4] += weight * (x * x + z * z)
-            A[5, 5] += weight * (x * x + y * y)
-            A[4, 3] -= weight * x * y
-            A[5, 3] -= weight * x * z
-            A[5, 4] -= weight * y * z
+            fx, fy, fz = weight * d[0] * d[0], weight * d[1] * d[1], weight * d[2] * d[2]
+            gx, gy, gz = weight * d[0] * dx, weight * d[1] * dy, weight * d[2] * dz
+            b[0] -= gx
+            b[1] -= gy
+            b[2] -= gz
+            b[3] -= uy * gz - uz * gy
+            b[4] -= uz * gx - ux * gz
+            b[5] -= ux * gy - uy * gx
+            A[0, 0] += fx
+            A[1, 1] += fy
+            A[2, 2] += fz
+            A[3, 1] -= fy * uz
+            A[3, 2] += fz * uy
+            A[4, 0] += fx * uz
+            A[4, 2] -= fz * ux
+            A[5, 0] -= fx * uy
+            A[5, 1] += fy * ux
+            A[3, 3] += fy * uz * uz + fz * uy * uy
+            A[4, 4] += fx * uz * uz + fz * ux * ux
+            A[5, 5] += fx * uy * uy + fy * ux * ux
+            A[4, 3] -= fz * ux * uy
+            A[5, 3] -= fy * ux * uz
+            A[5, 4] -= fx * uy * uz
+            if size == 9:
+                b[6] -= ux * gx
+                b[7] -= uy * gy
+                b[8] -= uz * gz
+                A[6, 0] += fx * ux
+                A[7, 1] += fy * uy
+                A[8, 2] += fz * uz
+                A[7, 3] -= fy * uy * uz
+                A[8, 3] += fz * uz * uy
+                A[6, 4] += fx * ux * uz
+                A[8, 4] -= fz * uz * ux
+                A[6, 5] -= fx * ux * uy
+                A[7, 5] += fy * uy * ux
+                A[6, 6] += fx * ux * ux
+                A[7, 7] += fy * uy * uy
+                A[8, 8] += fz * uz * uz
         if pairs < 6:
             return -step - 1
         damping = 1e-4 * pairs
         for r in range(3):
             A[r, r] += damping
             A[r + 3, r + 3] += damping * scale * scale
+            if size == 9:
+                pull = STRETCH_PULL * pairs * scale * scale
+                A[r + 6, r + 6] += pull
+                b[r + 6] -= pull * np.log(d[r])
         if not _solve(A, b):
             return -step - 1
-        turn = _small_turn(b[3:])
+        turn = _small_turn(b[3:6])
         R[:] = turn @ R
         t[:] = turn @ t + b[:3]
+        if size == 9:
+            for r in range(3):
+                d[r] = min(max(d[r] * np.exp(b[r + 6]), 1.0 / most), most)
         gate *= shrink
     return iterations
 
 
 @compiled
-def fit(points, viewpoint, R, t, surface, normals, origin, cell, nearest, gate):
+def fit(points, R, t, d, surface, normals, origin, cell, nearest, gate):
     """Share of the points with surface within the gate, mean of squared distances cut at the gate over the gate's
     square, and the root mean square [m] of the inliers' distances to tangent planes."""
     inside, cost, squares = 0, 0.0, 0.0
     for i in range(len(points)):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x = R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0]
-        y = R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1]
-        z = R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2]
+        x = d[0] * (R[0, 0] * px + R[0, 1] * py + R[0, 2] * pz + t[0])
+        y = d[1] * (R[1, 0] * px + R[1, 1] * py + R[1, 2] * pz + t[1])
+        z = d[2] * (R[2, 0] * px + R[2, 1] * py + R[2, 2] * pz + t[2])
         m = _nearest(x, y, z, origin, cell, nearest)
         dx, dy, dz = x - surface[m, 0], y - surface[m, 1], z - surface[m, 2]
         gap = dx * dx + dy * dy + dz * dz
@@ -162,23 +200,24 @@ def fit(points, viewpoint, R, t, surface, normals, origin, cell, nearest, gate):
 
 
 @compiled
-def seen(surface, normals, R, t, viewpoint, depth, fx, fy, cx, cy, left, top, tolerance):
+def seen(surface, normals, R, t, d, viewpoint, depth, fx, fy, cx, cy, left, top, tolerance):
     """How many of the model's points that face the camera are seen where they should be, and how many are not there.
 
-    (R, t) map the camera's frame into the model's. `depth` (H, W) [m] is a part of the image that starts at pixel
+    (R, t, d) map the camera's frame into the model's. `depth` (H, W) [m] is a part of the image that starts at pixel
     (left, top). What is hidden behind something nearer, lies outside, or has no return does not count.
     """
     there, missing = 0, 0
     for m in range(len(surface)):
-        dx, dy, dz = surface[m, 0] - t[0], surface[m, 1] - t[1], surface[m, 2] - t[2]
+        dx, dy, dz = surface[m, 0] / d[0] - t[0], surface[m, 1] / d[1] - t[1], surface[m, 2] / d[2] - t[2]
         x = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz
         y = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
         z = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
         if z <= 0.0:
             continue
-        nx = R[0, 0] * normals[m, 0] + R[1, 0] * normals[m, 1] + R[2, 0] * normals[m, 2]
-        ny = R[0, 1] * normals[m, 0] + R[1, 1] * normals[m, 1] + R[2, 1] * normals[m, 2]
-        nz = R[0, 2] * normals[m, 0] + R[1, 2] * normals[m, 1] + R[2, 2] * normals[m, 2]
+        ax, ay, az = normals[m, 0] * d[0], normals[m, 1] * d[1], normals[m, 2] * d[2]
+        nx = R[0, 0] * ax + R[1, 0] * ay + R[2, 0] * az
+        ny = R[0, 1] * ax + R[1, 1] * ay + R[2, 1] * az
+        nz = R[0, 2] * ax + R[1, 2] * ay + R[2, 2] * az
         if nx * (viewpoint[0] - x) + ny * (viewpoint[1] - y) + nz * (viewpoint[2] - z) <= 0.0:
             continue
         u, v = int(np.rint(fx * x / z + cx)) - left, int(np.rint(fy * y / z + cy)) - top
@@ -196,9 +235,26 @@ def seen(surface, normals, R, t, viewpoint, depth, fx, fy, cx, cy, left, top, to
 
 @compiled
 def refine(
-    points, viewpoint, Rs, ts, surface, normals, origin, cell, nearest, looked, camera, depth, first, last, steps, scale
+    points,
+    viewpoint,
+    Rs,
+    ts,
+    ds,
+    surface,
+    normals,
+    origin,
+    cell,
+    nearest,
+    looked,
+    camera,
+    depth,
+    first,
+    last,
+    steps,
+    scale,
+    most,
 ):
-    """Move the poses Rs (K, 3, 3), ts (K, 3) in place, and give the score (K,) of each in [0, 1].
+    """Move the poses Rs (K, 3, 3), ts (K, 3), ds (K, 3) in place, and give the score (K,) of each in [0, 1].
 
     A score is the closeness of the points to the model times the share of the model's points `looked` (M,) that is
     seen where it should be. `camera` is fx, fy, cx, cy, left, top; a depth without pixels is left out of the score.
@@ -206,11 +262,13 @@ def refine(
     scores = np.zeros(len(Rs))
     some, their_normals = surface[looked], normals[looked]
     for k in range(len(Rs)):
-        R, t = Rs[k], ts[k]
-        done = iterate(points, viewpoint, R, t, surface, normals, origin, cell, nearest, first, last, steps, scale)
+        R, t, d = Rs[k], ts[k], ds[k]
+        done = iterate(
+            points, viewpoint, R, t, d, surface, normals, origin, cell, nearest, first, last, steps, scale, most
+        )
         if done < 0:
             continue
-        _, cost, _ = fit(points, viewpoint, R, t, surface, normals, origin, cell, nearest, last)
+        _, cost, _ = fit(points, R, t, d, surface, normals, origin, cell, nearest, last)
         scores[k] = 1.0 - cost
         if depth.size and scores[k] > 0.0:
             there, missing = seen(
@@ -218,6 +276,7 @@ def refine(
                 their_normals,
                 R,
                 t,
+                d,
                 viewpoint,
                 depth,
                 camera[0],

@@ -30,12 +30,14 @@ class ShapeModel:
 
     Raises:
         ValueError: fewer than ten points, shapes that do not match, values that are not finite, normals that are not
-            of unit length (to 1e-6), or symmetries that are not rotations.
+            of unit length (to 1e-6), symmetries that are not rotations, or
+            a stretch below 1.
     """
 
     points: Array  # (N, 3) [m] in the object's frame
     normals: Array  # (N, 3) unit, outward
     symmetries: Array | None = None  # (K, 3, 3) rotations about the origin, the identity among them; None: no symmetry
+    stretch: float = 1.0  # an instance's size along each axis is up to this many times the model's, or its inverse
     diameter: float = field(init=False, repr=False)  # [m] of the bounding box
     origin: Array = field(init=False, repr=False)  # (3,) [m] the grid's first corner
     cell: float = field(init=False, repr=False)  # [m]
@@ -52,6 +54,8 @@ class ShapeModel:
         symmetries = np.eye(3)[None] if self.symmetries is None else check_rotation(self.symmetries, "symmetries")
         if symmetries.ndim != 3 or not len(symmetries):
             raise ValueError(f"symmetries: expected shape (K, 3, 3), got {symmetries.shape}")
+        if not 1.0 <= self.stretch < np.inf:
+            raise ValueError(f"stretch: expected a ratio of at least 1, got {self.stretch}")
         extents = np.ptp(points, axis=0)
         diameter = float(np.linalg.norm(extents))
         if diameter <= 0.0:
