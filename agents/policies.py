@@ -177,22 +177,27 @@ def _from_checkpoint(path: Path) -> "Policy":
     if not path.is_file():
         raise FileNotFoundError(f"policy: no such file: {path}")
     try:
-        if _scores_grasps(path):
+        kind = _kind(path)
+        if kind.startswith("grasp-scorer"):
             from agents.grasp_policy import load_grasp_policy
 
             return load_grasp_policy(path)
+        if kind.startswith("grasp-aim"):
+            from agents.aim_policy import load_aim_policy
+
+            return load_aim_policy(path)
         from agents.network_policy import load_network_policy
     except ModuleNotFoundError as error:
         raise PolicyUnavailable(f"policy {path.name!r}: {error}; install the extra: aerograsp[learn]") from error
     return load_network_policy(path)
 
 
-def _scores_grasps(path: Path) -> bool:
-    """Whether the card beside a checkpoint says that it scores grasps; what is inside is checked when it is loaded."""
+def _kind(path: Path) -> str:
+    """What the card beside a checkpoint says that it is; what is inside is checked when it is loaded."""
     try:
-        return str(json.loads(path.with_suffix(".json").read_text()).get("kind", "")).startswith("grasp-scorer")
+        return str(json.loads(path.with_suffix(".json").read_text()).get("kind", ""))
     except (OSError, ValueError):
-        return False
+        return ""
 
 
 def spaces(env_id: str, env_kwargs: Mapping[str, Any] | None = None) -> tuple[Space, Space]:

@@ -2,6 +2,7 @@
 
     aerograsp train aerograsp/Dock-v0 --residual pid --env-kwarg wind=gusty --export dock.safetensors
     aerograsp train aerograsp/Reach-v0 --algorithm sac
+    aerograsp train aerograsp/Grasp-v0 --algorithm aim
 
 The out folder holds `latest.safetensors` (the whole state of the training), `best.safetensors` (the best policy on the
 validation seeds, for inference), a JSON card beside each, `summary.json` and TensorBoard's log. The simulator's state
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.arguments import INTERRUPTED, Parser, add_json, guarded, one_line
-from agents.bench_setup import GRASP_PLAN
+from agents.bench_setup import GRASP, GRASP_PLAN
 from agents.checkpoint import Checkpoint, CheckpointError, load_checkpoint
 from agents.files import to_json, writable_folder, write_json
 from agents.policies import NAMESPACE, UnknownName, env_spec
@@ -162,12 +163,23 @@ def _given_algorithm(argv: list[str]) -> str | None:
         return None  # what is wrong with it is said when it is resumed
 
 
+def _names_algorithm(argv: list[str], name: str) -> bool:
+    """Whether a command line names this algorithm."""
+    parser = Parser(prog="aerograsp train", add_help=False)
+    parser.add_argument("--algorithm")
+    return parser.parse_known_args(argv)[0].algorithm == name
+
+
 def main(argv: list[str]) -> int:
     """`aerograsp train ID`."""
     if GRASP_PLAN in argv[:1]:
         from agents.grasp_training import main as train_grasps
 
         return train_grasps(argv)
+    if GRASP in argv[:1] and _names_algorithm(argv, "aim"):
+        from agents.aim_training import main as train_aim
+
+        return train_aim(argv)
     kind = config_class(_given_algorithm(argv))
     parser = Parser(
         prog="aerograsp train",
@@ -187,7 +199,7 @@ def main(argv: list[str]) -> int:
         "--algorithm",
         metavar="NAME",
         help=f"{' or '.join(ALGORITHMS)}, whose hyper-parameters are listed below with --help (default: ppo, or the "
-        "resumed run's)",
+        f"resumed run's); {GRASP} also learns by aim",
     )
     add_json(parser)
     add_config(parser, f"hyper-parameters of {kind.FAMILY}", kind)

@@ -128,7 +128,7 @@ class Flight:
         scene = Scene(T, r.cloud[:, :3], r.cloud[:, 3:], seat, up / np.linalg.norm(up))
         manoeuvre = self.planner(scene, p.attempts)
         if manoeuvre is None:
-            return p._replace(since=0, attempts=())
+            return p._replace(since=0)
         wanted = seat + manoeuvre.T_level_object[:3, 3] - T[:3, 3]
         s, angles = self.settings, [hand.q for hand in r.hands]
         deeper = min(depth_after(p.misses, scene, grasp, s) for grasp in manoeuvre.hands)
