@@ -255,20 +255,26 @@ def _misses(bounds, g, x, y, z, square):
 
 
 @compiled
-def _meet_mesh(meshes, mesh, bounds, g, x, y, z, limit, any_hit, stack, reach):
+def _meet_mesh(vertices, faces, box, child, leaf, begin, bounds, g, x, y, z, limit, any_hit, stack, reach):
     """Face and distance at which a ray (x, y, z) in the world meets mesh geom g before `limit`; (−1, limit) if not."""
     dx = bounds[g, 7] * x + bounds[g, 10] * y + bounds[g, 13] * z
     dy = bounds[g, 8] * x + bounds[g, 11] * y + bounds[g, 14] * z
     dz = bounds[g, 9] * x + bounds[g, 12] * y + bounds[g, 15] * z
     ox, oy, oz = bounds[g, 16], bounds[g, 17], bounds[g, 18]
-    return ray_mesh(meshes, mesh, ox, oy, oz, dx, dy, dz, limit, any_hit, stack, reach)
+    return ray_mesh(
+        vertices, faces, box, child, leaf, begin, ox, oy, oz, dx, dy, dz, limit, any_hit, stack, reach
+    )  # fmt: skip
 
 
 @compiled
 def _cast(shapes, origin, rays, geom, face, distance, normal):
     origin = np.ascontiguousarray(origin)
     bounds, address, functions = _bounds(shapes, origin), _addresses(shapes), shapes.functions
-    meshes, mesh = shapes.meshes, shapes.mesh
+    mesh, start_of = shapes.mesh, shapes.meshes.start
+    # Arrays by themselves: tuples of them, passed on for each ray, cost more than the work.
+    v, f, box, child, leaf = (
+        shapes.meshes.vertex, shapes.meshes.face, shapes.meshes.box, shapes.meshes.child, shapes.meshes.leaf
+    )  # fmt: skip
     chosen, found = np.empty(len(shapes.kind), np.int64), np.empty(3)
     stack, reach = np.empty(DEEPEST, np.int64), np.empty(DEEPEST)
     to = found.ctypes.data if len(normal) else 0
@@ -286,9 +292,13 @@ def _cast(shapes, origin, rays, geom, face, distance, normal):
                 if _misses(bounds, g, x, y, z, square):
                     continue
                 if address[g, 0] == _MESH:
-                    f, t = _meet_mesh(meshes, mesh[g], bounds, g, x, y, z, best, False, stack, reach)
-                    if f >= 0:
-                        best, which, side = t, g, f
+                    m = mesh[g]
+                    begin = start_of[m, 0], start_of[m, 1], start_of[m, 2]
+                    met, t = _meet_mesh(
+                        v, f, box, child, leaf, begin, bounds, g, x, y, z, best, False, stack, reach
+                    )  # fmt: skip
+                    if met >= 0:
+                        best, which, side = t, g, met
                     continue
                 t = _meet(functions, address, g, origin.ctypes.data, rays.ctypes.data + 24 * i, to)
                 if 0.0 <= t < best:
@@ -297,7 +307,7 @@ def _cast(shapes, origin, rays, geom, face, distance, normal):
                         normal[i, 0], normal[i, 1], normal[i, 2] = found[0], found[1], found[2]
             geom[i], face[i], distance[i] = which, side, best if which >= 0 else 0.0
             if side >= 0 and len(normal):
-                a, b, c = face_normal(meshes, mesh[which], side)
+                a, b, c = face_normal(v, f, start_of[mesh[which], 0], side)
                 for k in range(3):
                     p = 7 + 3 * k
                     normal[i, k] = bounds[which, p] * a + bounds[which, p + 1] * b + bounds[which, p + 2] * c
@@ -307,7 +317,11 @@ def _cast(shapes, origin, rays, geom, face, distance, normal):
 def _shadows(shapes, source, rays, geom, shadow):
     source = np.ascontiguousarray(source)
     bounds, address, functions = _bounds(shapes, source), _addresses(shapes), shapes.functions
-    meshes, mesh = shapes.meshes, shapes.mesh
+    mesh, start_of = shapes.mesh, shapes.meshes.start
+    # Arrays by themselves: tuples of them, passed on for each ray, cost more than the work.
+    v, f, box, child, leaf = (
+        shapes.meshes.vertex, shapes.meshes.face, shapes.meshes.box, shapes.meshes.child, shapes.meshes.leaf
+    )  # fmt: skip
     chosen = np.empty(len(shapes.kind), np.int64)
     stack, reach = np.empty(DEEPEST, np.int64), np.empty(DEEPEST)
     for start in range(0, len(rays), _BLOCK):
@@ -334,8 +348,12 @@ def _shadows(shapes, source, rays, geom, shadow):
                 if _misses(bounds, g, x, y, z, square):
                     continue
                 if address[g, 0] == _MESH:
-                    f, _ = _meet_mesh(meshes, mesh[g], bounds, g, x, y, z, limit, True, stack, reach)
-                    shadow[i] = f >= 0
+                    m = mesh[g]
+                    begin = start_of[m, 0], start_of[m, 1], start_of[m, 2]
+                    met, _ = _meet_mesh(
+                        v, f, box, child, leaf, begin, bounds, g, x, y, z, limit, True, stack, reach
+                    )  # fmt: skip
+                    shadow[i] = met >= 0
                 else:
                     t = _meet(functions, address, g, source.ctypes.data, rays.ctypes.data + 24 * i, 0)
                     shadow[i] = 0.0 <= t < limit

@@ -53,9 +53,11 @@ def _inverse(x):
 
 
 @compiled
-def _triangle(meshes, start, face, ox, oy, oz, dx, dy, dz):
-    """Distance at which a ray meets a face from either side, or −1 (Möller & Trumbore 1997)."""
-    v, f, p = meshes.vertex, meshes.face, meshes.start[start, 0]
+def _triangle(v, f, p, face, ox, oy, oz, dx, dy, dz):
+    """Distance at which a ray meets a face from either side, or −1 (Möller & Trumbore 1997).
+
+    v, f: vertices and faces of all meshes; p: the mesh's first vertex.
+    """
     i, j, k = f[face, 0] + p, f[face, 1] + p, f[face, 2] + p
     x0, y0, z0 = np.float64(v[i, 0]), np.float64(v[i, 1]), np.float64(v[i, 2])
     ax, ay, az = v[j, 0] - x0, v[j, 1] - y0, v[j, 2] - z0
@@ -76,12 +78,13 @@ def _triangle(meshes, start, face, ox, oy, oz, dx, dy, dz):
 
 
 @compiled
-def ray_mesh(meshes, mesh, ox, oy, oz, dx, dy, dz, limit, any_hit, stack, reach):
+def ray_mesh(vertices, faces, box, child, leaf, begin, ox, oy, oz, dx, dy, dz, limit, any_hit, stack, reach):
     """The first face that a ray in the mesh's frame meets before `limit`, and the distance; (−1, limit) if none.
 
-    any_hit: any face will do. stack, reach: scratch (DEEPEST,) of int64 and float64.
+    vertices, faces, box, child, leaf: of `Meshes`; begin: the row of its `start`. any_hit: any face will do.
+    stack, reach: scratch (DEEPEST,) of int64 and float64.
     """
-    root, first = meshes.start[mesh, 2], meshes.start[mesh, 1]
+    vertex, first, root = begin
     ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
     best, found, top = limit, -1, 0
     stack[0], reach[0] = root, 0.0
@@ -90,17 +93,17 @@ def ray_mesh(meshes, mesh, ox, oy, oz, dx, dy, dz, limit, any_hit, stack, reach)
         top -= 1
         if near >= best:
             continue
-        if meshes.leaf[node] >= 0:
-            face = first + meshes.leaf[node]
-            t = _triangle(meshes, mesh, face, ox, oy, oz, dx, dy, dz)
+        if leaf[node] >= 0:
+            face = first + leaf[node]
+            t = _triangle(vertices, faces, vertex, face, ox, oy, oz, dx, dy, dz)
             if 0.0 <= t < best:
                 best, found = t, face
                 if any_hit:
                     break
             continue
-        a, b = root + meshes.child[node, 0], root + meshes.child[node, 1]
-        u = _enter(meshes.box, a, ox, oy, oz, ix, iy, iz, best)
-        w = _enter(meshes.box, b, ox, oy, oz, ix, iy, iz, best)
+        a, b = root + child[node, 0], root + child[node, 1]
+        u = _enter(box, a, ox, oy, oz, ix, iy, iz, best)
+        w = _enter(box, b, ox, oy, oz, ix, iy, iz, best)
         if u > w:
             a, b, u, w = b, a, w, u
         if w < np.inf:
@@ -113,9 +116,11 @@ def ray_mesh(meshes, mesh, ox, oy, oz, dx, dy, dz, limit, any_hit, stack, reach)
 
 
 @compiled
-def face_normal(meshes, mesh, face):
-    """Unit normal of a face in the mesh's frame, outwards if its corners run counter-clockwise."""
-    v, f, p = meshes.vertex, meshes.face, meshes.start[mesh, 0]
+def face_normal(v, f, p, face):
+    """Unit normal of a face in the mesh's frame, outwards if its corners run counter-clockwise.
+
+    v, f: vertices and faces of all meshes; p: the mesh's first vertex.
+    """
     i, j, k = f[face, 0] + p, f[face, 1] + p, f[face, 2] + p
     x0, y0, z0 = np.float64(v[i, 0]), np.float64(v[i, 1]), np.float64(v[i, 2])
     ax, ay, az = v[j, 0] - x0, v[j, 1] - y0, v[j, 2] - z0
@@ -123,3 +128,24 @@ def face_normal(meshes, mesh, face):
     x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     length = max(np.sqrt(x * x + y * y + z * z), 1e-300)
     return x / length, y / length, z / length
+
+
+@compiled
+def weights(v, f, p, face, x, y, z, matrix, position, g):
+    """How much of a face's second and third corner there is in a point of it, given in the world.
+
+    v, f: vertices and faces of all meshes; p: the mesh's first vertex.
+    matrix (ngeom, 9), position (ngeom, 3): where geom g, which has the mesh, stands.
+    """
+    x, y, z = x - position[g, 0], y - position[g, 1], z - position[g, 2]
+    px = matrix[g, 0] * x + matrix[g, 3] * y + matrix[g, 6] * z
+    py = matrix[g, 1] * x + matrix[g, 4] * y + matrix[g, 7] * z
+    pz = matrix[g, 2] * x + matrix[g, 5] * y + matrix[g, 8] * z
+    i, j, k = f[face, 0] + p, f[face, 1] + p, f[face, 2] + p
+    ax, ay, az = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
+    bx, by, bz = v[k, 0] - v[i, 0], v[k, 1] - v[i, 1], v[k, 2] - v[i, 2]
+    px, py, pz = px - v[i, 0], py - v[i, 1], pz - v[i, 2]
+    aa, ab, bb = ax * ax + ay * ay + az * az, ax * bx + ay * by + az * bz, bx * bx + by * by + bz * bz
+    pa, pb = px * ax + py * ay + pz * az, px * bx + py * by + pz * bz
+    determinant = max(aa * bb - ab * ab, 1e-30)
+    return (bb * pa - ab * pb) / determinant, (aa * pb - ab * pa) / determinant

@@ -12,7 +12,7 @@ from aerograsp_env.sim import ray_kernel as kernel
 from aerograsp_env.sim.cameras import Camera, Frame, View, camera_view, open_model
 from aerograsp_env.sim.ray_cast import Hits, Shapes, cast, in_shadow, shapes_of
 from aerograsp_env.sim.ray_mesh import meshes_of
-from aerograsp_env.sim.ray_textures import Covers, lay_textures, mesh_frames, read_textures
+from aerograsp_env.sim.ray_textures import Covers, lay_textures, read_corners, read_textures
 from aerograsp_env.sim.shading import SRGB_OF_LINEAR, Sky, geom_colors, gloss, lights_of, sky_of
 
 Array = NDArray[Any]
@@ -41,7 +41,7 @@ class RayRenderer:
         self._samples = samples
         self._groups = groups
         self._textures = read_textures(model)
-        self._frames = mesh_frames(model)
+        self._corners = read_corners(model)
         self._meshes = meshes_of(model)
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ class RayRenderer:
         return picture
 
     def _scene(self, model: mujoco.MjModel, data: mujoco.MjData, view: View, rgba: NDArray[np.float32]) -> _Scene:
-        covers = lay_textures(model, data, self._textures, self._frames)
+        covers = lay_textures(model, data, self._textures, self._corners)
         return _Scene(model, data, view, rgba, gloss(model), covers, sky_of(model))
 
     def _shapes(
@@ -129,19 +129,19 @@ class RayRenderer:
     def _shade(self, scene: _Scene, opaque: Shapes, rays: Array, hits: Hits, index: int) -> NDArray[np.float32]:
         view = scene.view
         steps = view.R_w_c[:, :2].T / (np.array([[view.fx], [view.fy]]) * self._samples)
-        color, albedo, point = kernel.shade(
-            *(rays, hits.geom, hits.distance, hits.normal, view.position, steps),
-            *(scene.rgba, scene.covers, self._textures, scene.sky),
+        color, albedo, point, smooth = kernel.shade(
+            *(rays, hits.geom, hits.face, hits.distance, hits.normal, view.position, steps),
+            *(scene.rgba, scene.covers, self._textures, self._corners, opaque, scene.sky),
         )
         lights = lights_of(scene.model, scene.data, index, self._samples**2)
         for i in range(len(lights.kind)):
-            rows, to, strength = kernel.reach(lights, i, hits.geom, point, hits.normal)
+            rows, to, strength = kernel.reach(lights, i, hits.geom, point, hits.normal, smooth)
             if lights.shadow[i]:
                 shadow = in_shadow(opaque, lights.source[i], to, hits.geom[rows])
             else:
                 shadow = np.zeros(len(rows), np.bool_)
             kernel.add_light(
-                *(color, albedo, rays, hits.geom, hits.normal, rows, to, strength, shadow),
+                *(color, albedo, rays, hits.geom, smooth, rows, to, strength, shadow),
                 *(lights.color[i], scene.gloss),
             )
         kernel.add_haze(color, rays, hits.geom, hits.distance, scene.sky)

@@ -1,11 +1,11 @@
 """Image textures of the ray renderer: pyramids in linear light, and how each geom is covered by its material's texture.
 
-A plane takes its texture as in MuJoCo. Every other geom takes a two-dimensional texture by box projection: each point
-of the surface reads the image as if projected along the axis of the geom's frame that its normal is closest to, upright
-and not mirrored when seen from outside (MuJoCo's rasteriser lays it differently on each kind of geom). The frame of a
-mesh is that of its file, not the one that MuJoCo moves into its inertia's axes. `texrepeat` counts repeats over the
-geom's extent, or with `texuniform` over 2 m, as on MuJoCo's planes. A cube texture is read in the direction from the
-geom's middle, after scaling to its extent unless `texuniform` is set.
+A plane takes its texture as in MuJoCo, and so does a mesh with texture coordinates. Every other geom takes a
+two-dimensional texture by box projection: each point of the surface reads the image as if projected along the axis of
+the geom's frame that its normal is closest to, upright and not mirrored when seen from outside (MuJoCo's rasteriser
+lays it differently on each kind of geom). The frame of a mesh is that of its file, not the one that MuJoCo moves into
+its inertia's axes. `texrepeat` counts repeats over the geom's extent, or with `texuniform` over 2 m, as on MuJoCo's planes.
+A cube texture is read in the direction from the geom's middle, after scaling to its extent unless `texuniform` is set.
 """
 
 from __future__ import annotations
@@ -16,11 +16,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from aerograsp_env.sim.kernel_math import compiled
+
 Array = NDArray[Any]
 
-PLAIN, CHECKER, PLANE, BOX, CUBE = range(5)
-"""How a geom is covered: not at all; by an analytic checker; as MuJoCo's planes; by box projection; by a cube."""
+PLAIN, CHECKER, PLANE, BOX, CUBE, CORNERS = range(6)
+"""How a geom is covered: not; by an analytic checker; like MuJoCo's planes; by boxes; by a cube; by its corners."""
 
+_GEOM_PLANE, _GEOM_MESH = int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_MESH)
+_RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _LEVELS = 15  # enough for 16384 px
 
 
@@ -47,17 +51,26 @@ class Pyramids(NamedTuple):
     mean: NDArray[np.float32]  # (textures, 3) linear RGB
 
 
-class Covers(NamedTuple):
-    """How textures lie on geoms, in the texture's frame: that of the geom or of the mesh's file."""
+class Corners(NamedTuple):
+    """What meshes keep of each face's corners, and the frames of their files.
 
-    kind: NDArray[np.int64]  # (ngeom,) PLAIN … CUBE
-    texture: NDArray[np.int64]  # (ngeom,) index, or −1
-    rotation: NDArray[np.float64]  # (ngeom, 3, 3) world from texture's frame
-    origin: NDArray[np.float64]  # (ngeom, 3) world [m]
-    low: NDArray[np.float64]  # (ngeom, 3) [m] where the image's left edge lies along each axis
-    high: NDArray[np.float64]  # (ngeom, 3) [m] where its upper edge lies
-    across: NDArray[np.float64]  # (ngeom, 3) [1/m] periods of the image's columns along each axis
-    down: NDArray[np.float64]  # (ngeom, 3) [1/m] of its rows
+    MuJoCo moves vertices into the axes of inertia: a file's coordinates are rotation @ vertex + translation.
+    """
+
+    normal: NDArray[np.float32]  # (faces, 3, 3) in MuJoCo's frame
+    texture: NDArray[np.float32]  # (faces, 3, 2) coordinates in periods, v upwards; 0 if the mesh has none
+    density: NDArray[np.float32]  # (faces,) [1/m] periods a metre
+    mapped: NDArray[np.bool_]  # (meshes,) which have texture coordinates
+    rotation: NDArray[np.float64]  # (meshes, 3, 3)
+    translation: NDArray[np.float64]  # (meshes, 3)
+    extent: NDArray[np.float64]  # (meshes, 2, 3) [m] in the file's frame
+
+
+class Covers(NamedTuple):
+    """How textures lie on geoms: rows of `layout` numbers, for the compiled loops."""
+
+    kind: NDArray[np.int64]  # (ngeom, 5): PLAIN … CORNERS, first image, images, height and width of the image
+    layout: NDArray[np.float64]  # (ngeom, 30) see `_lay`
 
 
 def read_textures(model: mujoco.MjModel) -> Pyramids:
@@ -101,62 +114,97 @@ def read_textures(model: mujoco.MjModel) -> Pyramids:
     )
 
 
-def mesh_frames(model: mujoco.MjModel) -> tuple[Array, Array, Array]:
-    """Rotation (nmesh, 3, 3), translation (nmesh, 3) and extent (nmesh, 2, 3) of meshes in the frames of their files.
-
-    MuJoCo keeps vertices in the axes of inertia; a file's coordinates are rotation @ vertex + translation.
-    """
+def read_corners(model: mujoco.MjModel) -> Corners:
+    """The corners of all faces of a model's meshes."""
+    count = model.nmeshface
+    normal, texture = np.zeros((count, 3, 3), np.float32), np.zeros((count, 3, 2), np.float32)
+    density, mapped = np.zeros(count, np.float32), np.zeros(model.nmesh, np.bool_)
     rotation, extent = np.zeros((model.nmesh, 9)), np.zeros((model.nmesh, 2, 3))
     for mesh in range(model.nmesh):
         mujoco.mju_quat2Mat(rotation[mesh], model.mesh_quat[mesh])
-        start = int(model.mesh_vertadr[mesh])
-        vertices = model.mesh_vert[start : start + int(model.mesh_vertnum[mesh])]
+        vertices = _part(model.mesh_vert, model.mesh_vertadr[mesh], model.mesh_vertnum[mesh])
         points = vertices @ rotation[mesh].reshape(3, 3).T + model.mesh_pos[mesh]
         extent[mesh] = points.min(axis=0), points.max(axis=0)
-    return rotation.reshape(-1, 3, 3), model.mesh_pos.copy(), extent
+        faces = slice(int(model.mesh_faceadr[mesh]), int(model.mesh_faceadr[mesh] + model.mesh_facenum[mesh]))
+        normals = _part(model.mesh_normal, model.mesh_normaladr[mesh], model.mesh_normalnum[mesh])
+        normal[faces] = normals[model.mesh_facenormal[faces]]
+        if model.mesh_texcoordadr[mesh] < 0:
+            continue
+        mapped[mesh] = True
+        coordinates = _part(model.mesh_texcoord, model.mesh_texcoordadr[mesh], model.mesh_texcoordnum[mesh])
+        texture[faces] = coordinates[model.mesh_facetexcoord[faces]]
+        a, b = np.diff(vertices[model.mesh_face[faces]], axis=1).swapaxes(0, 1)
+        u, v = np.diff(texture[faces], axis=1).swapaxes(0, 1)
+        area = np.linalg.norm(np.cross(a, b), axis=1).clip(1e-12)
+        density[faces] = np.sqrt(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / area)
+    return Corners(normal, texture, density, mapped, rotation.reshape(-1, 3, 3), model.mesh_pos.copy(), extent)
 
 
-def lay_textures(
-    model: mujoco.MjModel, data: mujoco.MjData, pyramids: Pyramids, meshes: tuple[Array, Array, Array]
-) -> Covers:
+def _part(array: Array, start: int, count: int) -> Array:
+    return array[int(start) : int(start) + int(count)]
+
+
+def lay_textures(model: mujoco.MjModel, data: mujoco.MjData, pyramids: Pyramids, corners: Corners) -> Covers:
     """Where textures lie on the geoms now."""
-    n = model.ngeom
-    texture = np.full(n, -1, np.int64)
-    rotation, origin = data.geom_xmat.reshape(n, 3, 3), data.geom_xpos
-    material = model.geom_matid
+    kind, layout = np.zeros((model.ngeom, 5), np.int64), np.empty((model.ngeom, 30))
     if model.ntex and model.nmat:
-        used = material >= 0
-        texture[used] = model.mat_texid[material[used], int(mujoco.mjtTextureRole.mjTEXROLE_RGB)]
-    on = np.flatnonzero(texture >= 0)
-    kind = np.zeros(n, np.int64)
-    low, high, across, down = np.zeros((4, n, 3))
-    if not on.size:
-        return Covers(kind, texture, rotation, origin, low, high, across, down)
-    plane = model.geom_type[on] == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    cube = pyramids.cube[texture[on]]
-    kind[on] = np.where(cube, CUBE, np.where(plane, PLANE, BOX))
-    checker = plane & ~cube & pyramids.contrast[texture[on]].any(axis=1)
-    kind[on[checker]] = CHECKER
+        _lay(
+            *(kind, layout, pyramids, corners, model.geom_type, model.geom_dataid, model.geom_size, model.geom_aabb),
+            *(data.geom_xpos, data.geom_xmat, model.geom_matid, model.mat_texid, model.mat_texuniform),
+            model.mat_texrepeat,
+        )
+    return Covers(kind, layout)
 
-    middle, half = model.geom_aabb[on, :3], model.geom_aabb[on, 3:].copy()
-    lower, upper = middle - half, middle + half
-    mesh = np.flatnonzero((model.geom_type[on] == int(mujoco.mjtGeom.mjGEOM_MESH)) & (model.geom_dataid[on] >= 0))
-    if mesh.size:
-        rotation, origin = rotation.copy(), origin.copy()
-        R, t, extent = (part[model.geom_dataid[on[mesh]]] for part in meshes)
-        rotation[on[mesh]] = rotation[on[mesh]] @ R.swapaxes(1, 2)
-        origin[on[mesh]] -= np.einsum("nij,nj->ni", rotation[on[mesh]], t)
-        lower[mesh], upper[mesh] = extent[:, 0], extent[:, 1]
-    size = model.geom_size[on].clip(0.0)
-    size[:, 2] = 0.0
-    lower[plane], upper[plane] = -size[plane], size[plane]
-    half = 0.5 * (upper - lower)
-    uniform = model.mat_texuniform[material[on]].astype(bool)
-    scale = np.where(uniform[:, None] | (half <= 0.0), 1.0, half)
-    low[on], high[on] = lower, upper
-    across[on] = 0.5 * model.mat_texrepeat[material[on], :1] / scale
-    down[on] = 0.5 * model.mat_texrepeat[material[on], 1:] / scale
-    return Covers(kind, texture, rotation, origin, low, high, across, down)
+
+@compiled
+def _lay(kind, layout, pyramids, corners, shape, mesh, size, box, position, rotation, material, image, uniform, repeat):
+    """Fill `kind` and `layout` of textured geoms. `layout` is, in the texture's frame (the geom's, or the mesh file's):
+
+    rotation to the world (0–8), origin in the world (9–11), where the image's left edge lies along each axis (12–14)
+    and where its upper edge lies (15–17) [m], periods of its columns (18–20) and of its rows (21–23) [1/m] along each
+    axis, and a checker's mean (24–26) and contrast (27–29).
+    """
+    for g in range(len(kind)):
+        texture = image[material[g], _RGB] if material[g] >= 0 else -1
+        if texture < 0:
+            continue
+        is_plane, m = shape[g] == _GEOM_PLANE, mesh[g] if shape[g] == _GEOM_MESH else -1
+        if pyramids.cube[texture]:
+            kind[g, 0] = CUBE
+        elif is_plane:
+            kind[g, 0] = PLANE
+            for k in range(3):
+                if pyramids.contrast[texture, k] != 0.0:
+                    kind[g, 0] = CHECKER
+        else:
+            kind[g, 0] = CORNERS if m >= 0 and corners.mapped[m] else BOX
+        first = pyramids.first[texture]
+        kind[g, 1], kind[g, 2] = first, pyramids.faces[texture]
+        kind[g, 3], kind[g, 4] = pyramids.levels[first, 0, 1], pyramids.levels[first, 0, 2]
+        for k in range(3):
+            layout[g, 9 + k] = position[g, k]
+            low, high = box[g, k] - box[g, 3 + k], box[g, k] + box[g, 3 + k]
+            for j in range(3):
+                layout[g, 3 * k + j] = rotation[g, 3 * k + j]
+            if is_plane:
+                high = max(size[g, k], 0.0) if k < 2 else 0.0
+                low = -high
+            if m >= 0:
+                low, high = corners.extent[m, 0, k], corners.extent[m, 1, k]
+                for j in range(3):
+                    layout[g, 3 * k + j] = 0.0
+                    for i in range(3):
+                        layout[g, 3 * k + j] += rotation[g, 3 * k + i] * corners.rotation[m, j, i]
+                for j in range(3):
+                    layout[g, 9 + k] -= layout[g, 3 * k + j] * corners.translation[m, j]
+            half = 0.5 * (high - low)
+            scale = 1.0 if uniform[material[g]] or half <= 0.0 else half
+            layout[g, 12 + k], layout[g, 15 + k] = low, high
+            layout[g, 18 + k], layout[g, 21 + k] = (
+                0.5 * repeat[material[g], 0] / scale,
+                0.5 * repeat[material[g], 1] / scale,
+            )
+            layout[g, 24 + k], layout[g, 27 + k] = pyramids.mean[texture, k], pyramids.contrast[texture, k]
 
 
 def _checker(image: Array, mean: Array) -> tuple[Array, Array]:
