@@ -147,9 +147,9 @@ def paint(
     if kind[g, 0] == CORNERS and face >= 0:
         c, b0 = texture, 1.0 - b1 - b2
         image = kind[g, 1]
-        u = b0 * c[face, 0, 0] + b1 * c[face, 1, 0] + b2 * c[face, 2, 0]
-        v = b0 * c[face, 0, 1] + b1 * c[face, 1, 1] + b2 * c[face, 2, 1]
-        rate = density[face] * math.sqrt(kind[g, 3] * kind[g, 4])
+        u = (b0 * c[face, 0, 0] + b1 * c[face, 1, 0] + b2 * c[face, 2, 0]) * layout[g, 18]
+        v = (b0 * c[face, 0, 1] + b1 * c[face, 1, 1] + b2 * c[face, 2, 1]) * layout[g, 21]
+        rate = density[face] * math.sqrt(kind[g, 3] * kind[g, 4] * abs(layout[g, 18] * layout[g, 21]))
     else:
         image, u, v, rate = place(kind, layout, g, p, _into(layout, g, nx, ny, nz))
     cosine = abs(dx * nx + dy * ny + dz * nz) / math.sqrt(dx * dx + dy * dy + dz * dz)

@@ -4,8 +4,9 @@ A plane takes its texture as in MuJoCo, and so does a mesh with texture coordina
 two-dimensional texture by box projection: each point of the surface reads the image as if projected along the axis of
 the geom's frame that its normal is closest to, upright and not mirrored when seen from outside (MuJoCo's rasteriser
 lays it differently on each kind of geom). The frame of a mesh is that of its file, not the one that MuJoCo moves into
-its inertia's axes. `texrepeat` counts repeats over the geom's extent, or with `texuniform` over 2 m, as on MuJoCo's planes.
-A cube texture is read in the direction from the geom's middle, after scaling to its extent unless `texuniform` is set.
+its inertia's axes. `texrepeat` counts repeats over the geom's extent, or with `texuniform` over 2 m, as on MuJoCo's
+planes. A cube texture is read in the direction from the geom's middle, after scaling to its extent unless `texuniform`
+is set.
 """
 
 from __future__ import annotations
@@ -162,7 +163,7 @@ def _lay(kind, layout, pyramids, corners, shape, mesh, size, box, position, rota
 
     rotation to the world (0–8), origin in the world (9–11), where the image's left edge lies along each axis (12–14)
     and where its upper edge lies (15–17) [m], periods of its columns (18–20) and of its rows (21–23) [1/m] along each
-    axis, and a checker's mean (24–26) and contrast (27–29).
+    axis (of faces' own coordinates the factors), and a checker's mean (24–26) and contrast (27–29).
     """
     for g in range(len(kind)):
         texture = image[material[g], _RGB] if material[g] >= 0 else -1
@@ -199,6 +200,8 @@ def _lay(kind, layout, pyramids, corners, shape, mesh, size, box, position, rota
                     layout[g, 9 + k] -= layout[g, 3 * k + j] * corners.translation[m, j]
             half = 0.5 * (high - low)
             scale = 1.0 if uniform[material[g]] or half <= 0.0 else half
+            if kind[g, 0] == CORNERS:  # the faces' own coordinates are multiplied
+                scale = 0.5
             layout[g, 12 + k], layout[g, 15 + k] = low, high
             layout[g, 18 + k], layout[g, 21 + k] = (
                 0.5 * repeat[material[g], 0] / scale,
