@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.interfaces import RGBD, Intrinsics
+from aerograsp_env.sim.cameras import pose_view
 from aerograsp_env.sim.depth_noise import DepthNoiseConfig, noisy_depth
 from aerograsp_env.sim.image_noise import ImageNoiseConfig, motion_blur, noisy_image
+from aerograsp_env.sim.rendering import Renderer, make_renderer
 from aerograsp_env.sim.visual import CLASSES
-from aerograsp_env.sim.visual.fast_rays import SceneRenderer
 from aerograsp_env.sim.visual.objects import VisualObject, nominal_object, random_object, recolored
 from aerograsp_env.sim.visual.scene_mjcf import SceneModel
 from aerograsp_env.sim.visual.scenes import LEVELS, SceneConfig, make_scene
@@ -26,7 +27,7 @@ from aerograsp_env.sim.visual.textures import texture_image
 from aerograsp_env.sim.visual.truths import Truth, owners, truths_of
 from aerograsp_env.sim.visual.viewpoints import Viewpoint, draw_viewpoint
 
-ARRANGEMENTS, VIEWS = 4, 2
+ARRANGEMENTS, VIEWS = 4, 3
 BLOCK = ARRANGEMENTS * VIEWS  # pictures
 TOOLS = CLASSES[:4]
 STUDIO = 0.6  # share of studio pictures
@@ -78,7 +79,7 @@ def _draw_scene(
 
     scene = make_scene(config, rng, pick)
     scene_model: SceneModel = scene.model()
-    renderer = SceneRenderer(scene_model, *size)
+    renderer = make_renderer(scene_model.model, *size)
     pictures = []
     for view in range(VIEWS):
         if view and randomize:
@@ -90,7 +91,7 @@ def _draw_scene(
 
 def _take(
     scene_model: SceneModel,
-    renderer: SceneRenderer,
+    renderer: Renderer,
     viewpoint: Viewpoint,
     size: tuple[int, int],
     rng: np.random.Generator,
@@ -98,7 +99,7 @@ def _take(
 ) -> Picture:
     scene = scene_model.scene
     intrinsics = intrinsics_of(size, viewpoint.fovy)
-    seen = renderer.frame_at(scene_model.data, viewpoint.T_world_camera, intrinsics)
+    seen = renderer.frame(scene_model.data, pose_view(viewpoint.T_world_camera, intrinsics))
     placed = scene.objects
     owner = owners(seen.geom, scene_model.geom_object)
     found = truths_of(
@@ -132,10 +133,14 @@ def _photograph(
     config = scene_model.scene.config
     studio = config.style == "studio"
     bare = np.append(scene_model.geom_ground, True)[geom]  # nothing, geom −1, reads the last
-    if studio and rng.random() < 0.3:
+    if studio and rng.random() < 0.35:
         rgb = np.where(bare[..., None], _backdrop(rgb, bare, rng), rgb)
     elif (geom < 0).any():
         rgb = np.where((geom < 0)[..., None], _backdrop(rgb, bare, rng), rgb)
+    if rng.random() < 0.12:
+        rgb = _glare(rgb, bare, rng)
+    if studio and rng.random() < 0.06:
+        rgb = _overprint(rgb, rng)
     if config.level == "blurred":
         twist = np.concatenate([rng.normal(0.0, 0.4, 3), rng.normal(0.0, 0.9, 3)])
         rgb = motion_blur(rgb, depth, intrinsics, twist, float(rng.uniform(0.004, 0.02)))
@@ -152,7 +157,7 @@ def _backdrop(rgb: NDArray[np.uint8], bare: NDArray[np.bool_], rng: np.random.Ge
     """White, flat, graded, or noise like that of photographs; sometimes the shadows stay."""
     height, width = rgb.shape[:2]
     kind = rng.random()
-    color = np.full(3, rng.uniform(0.9, 1.0)) if kind < 0.5 else np.full(3, rng.random()) + rng.normal(0.0, 0.05, 3)
+    color = np.full(3, rng.uniform(0.9, 1.0)) if kind < 0.6 else np.full(3, rng.random()) + rng.normal(0.0, 0.05, 3)
     if kind > 0.92:
         image = texture_image("photo", rng.random(3), int(rng.integers(2**31)), 256).astype(np.float32)
         back = cv2.resize(image, (width, height))
@@ -169,3 +174,26 @@ def _backdrop(rgb: NDArray[np.uint8], bare: NDArray[np.bool_], rng: np.random.Ge
     return np.clip(back, 0.0, 255.0).astype(np.uint8)
 
 
+def _glare(rgb: NDArray[np.uint8], bare: NDArray[np.bool_], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """A lamp mirrored in a glossy ground."""
+    height, width = bare.shape
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    x, y = x / width - rng.uniform(0.0, 1.0), y / height - rng.uniform(0.0, 1.0)
+    angle, wide, long = rng.uniform(0.0, np.pi), rng.uniform(0.03, 0.2), rng.uniform(0.2, 2.0)
+    across, along = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+    spot = np.exp(-((across / wide) ** 2) - (along / long) ** 2) * bare * rng.uniform(40.0, 255.0)
+    return np.clip(rgb + spot[..., None], 0.0, 255.0).astype(np.uint8)
+
+
+def _overprint(rgb: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+    """Letters over the picture, as catalogues and picture agencies print them."""
+    image = np.ascontiguousarray(rgb)
+    layer = image.copy()
+    for _ in range(int(rng.integers(1, 4))):
+        text = "".join(chr(int(c)) for c in rng.integers(65, 91, int(rng.integers(3, 12))))
+        at = (int(rng.integers(-20, image.shape[1])), int(rng.integers(8, image.shape[0])))
+        color = tuple(int(c) for c in rng.integers(0, 256, 3))
+        cv2.putText(
+            layer, text, at, int(rng.integers(0, 5)), float(rng.uniform(0.3, 1.2)), color, int(rng.integers(1, 3))
+        )
+    return np.asarray(cv2.addWeighted(layer, share := float(rng.uniform(0.3, 1.0)), image, 1.0 - share, 0.0))

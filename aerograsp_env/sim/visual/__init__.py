@@ -1,4 +1,4 @@
-"""Scenes to look at: tools and everyday things of varied shapes and looks, where they lie, and what is true of a picture.
+"""Scenes to look at: tools and everyday things of varied shapes and looks, and what is true of pictures of them.
 
 Everything is made from numbers by this package and seeded; nothing is read from photographs.
 """

@@ -99,5 +99,3 @@ def _cluster(rng: np.random.Generator) -> Shape:
             solid = lathe([(0.0, r), (rng.uniform(0.02, 0.12), r)], axis=axis, sides=14).moved(at)
         parts.append((solid, looks.any_look(rng)))
     return _shape(*parts)
-
-

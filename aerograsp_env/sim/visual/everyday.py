@@ -25,7 +25,12 @@ def can(draw: Draw) -> Shape:
     wall = lathe([(-0.5 * h + 0.002, rim * r), *body, (0.5 * h - 0.002, rim * r)], axis=2, sides=STEP)
     ends = []
     for side in (-1.0, 1.0):
-        edge = [(0.5 * h - 0.004, rim * r), (0.5 * h, rim * r), (0.5 * h, 0.92 * rim * r), (0.5 * h - 0.0025, 0.88 * rim * r)]
+        edge = [
+            (0.5 * h - 0.004, rim * r),
+            (0.5 * h, rim * r),
+            (0.5 * h, 0.92 * rim * r),
+            (0.5 * h - 0.0025, 0.88 * rim * r),
+        ]
         ends.append(lathe([(side * z, radius) for z, radius in edge], axis=2, sides=STEP))
     metal = draw.look(ALUMINIUM, looks.aluminium)
     print_ = draw.look(PRINT, looks.printed) if not draw.chance(0.1) else metal
@@ -43,7 +48,10 @@ def juice_box(draw: Draw) -> Shape:
     if kind == "gable":
         roof = 0.55 * y
         square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.5
-        rings = [np.column_stack([square * (x, y * w), np.full(4, 0.5 * z + h)]) for h, w in ((-0.001, 1.0), (roof, 0.04), (roof + 0.012, 0.04))]
+        rings = [
+            np.column_stack([square * (x, y * w), np.full(4, 0.5 * z + h)])
+            for h, w in ((-0.001, 1.0), (roof, 0.04), (roof + 0.012, 0.04))
+        ]
         r = draw.size(0.010, 0.008, 0.013)
         cap = lathe([(0.0, r), (0.014, r)], axis=2, sides=16)
         slope = np.arctan2(roof, 0.5 * y)
@@ -65,7 +73,9 @@ def juice_box(draw: Draw) -> Shape:
 
 def box(draw: Draw) -> Shape:
     """A carton, a matchbox or a block: three different sides, so that half turns alone leave it the same."""
-    sides = sorted((draw.size(0.16, 0.05, 0.24), draw.size(0.11, 0.035, 0.16), draw.size(0.06, 0.02, 0.11)), reverse=True)
+    sides = sorted(
+        (draw.size(0.16, 0.05, 0.24), draw.size(0.11, 0.035, 0.16), draw.size(0.06, 0.02, 0.11)), reverse=True
+    )
     x, y, z = sides[0], min(sides[1], 0.93 * sides[0]), min(sides[2], 0.93 * sides[1])
     look = draw.look(Look((0.72, 0.55, 0.36), "label", 0.05, 0.1), looks.cardboard)
     parts = [(solids.box((x, y, z)), look)]
@@ -98,13 +108,17 @@ def fruit(draw: Draw) -> Shape:
         return Shape(tuple(parts), times(group, turns(0, 2)), kind, (0.0, 0.0, 0.0))
     if kind == "pear":
         tall, neck = draw.size(1.35, 1.2, 1.55), draw.size(0.5, 0.42, 0.6)
-        shape = [(tall * r * z, r * c * (1.0 - (1.0 - neck) * max(0.0, 0.5 * (z + 0.6)) ** 1.5)) for c, z in zip(ring, height, strict=True)]
+        shape = [
+            (tall * r * z, r * c * (1.0 - (1.0 - neck) * max(0.0, 0.5 * (z + 0.6)) ** 1.5))
+            for c, z in zip(ring, height, strict=True)
+        ]
         look = draw.look(Look((0.70, 0.75, 0.25), "cloud"), looks.peel)
         top = tall * r
     else:
         dip, tall = draw.size(0.28, 0.15, 0.35), draw.size(0.92, 0.8, 1.05)
         shape = [
-            (tall * r * (z - dip * np.exp(-((c / 0.32) ** 2)) * np.sign(z)), r * c * (1.0 + 0.07 * z)) for c, z in zip(ring, height, strict=True)
+            (tall * r * (z - dip * np.exp(-((c / 0.32) ** 2)) * np.sign(z)), r * c * (1.0 + 0.07 * z))
+            for c, z in zip(ring, height, strict=True)
         ]
         look = draw.look(Look((0.75, 0.12, 0.10), "cloud"), looks.peel)
         top = tall * r * (1.0 - dip)
@@ -130,7 +144,7 @@ def crawler(draw: Draw) -> Shape:
     """The inspection robot of `aerograsp_env.sim.objects.crawler`: one shape, a third of a turn leaves it the same."""
     drive, shell, handle = ((0.10, 0.10, 0.11), (0.18, 0.20, 0.24), (0.90, 0.62, 0.08))
     parts = tuple(
-        (solid, draw.look(looks.painted(color), lambda rng, color=color: looks.painted(color, rng)))
+        (solid, draw.look(looks.painted(color), functools.partial(looks.painted, color)))
         for solid, color in zip(_crawler_pieces(), (drive, shell, handle), strict=True)
     )
     return Shape(parts, turns(2, 3), "crawler", (0.0, 0.0, None))
@@ -142,9 +156,7 @@ def _crawler_pieces() -> tuple[Solid, ...]:
     groups: list[list[manifold3d.Manifold]] = [[], [], []]
     for piece in pipe_crawler().pieces:
         groups[_group(piece.vertices)].append(solids.manifold_of(Solid(piece.vertices, piece.faces)))
-    return tuple(
-        solids.solid_of(manifold3d.Manifold.batch_boolean(group, manifold3d.OpType.Add)) for group in groups
-    )
+    return tuple(solids.solid_of(manifold3d.Manifold.batch_boolean(group, manifold3d.OpType.Add)) for group in groups)
 
 
 def _group(vertices: np.ndarray) -> int:

@@ -77,7 +77,9 @@ class VisualObject:
     def faces(self) -> NDArray[np.int32]:
         """(F, 3) into `vertices`."""
         starts = np.cumsum([0, *(len(part.vertices) for part in self.parts[:-1])])
-        return np.concatenate([part.faces + start for part, start in zip(self.parts, starts, strict=True)]).astype(np.int32)
+        return np.concatenate([part.faces + start for part, start in zip(self.parts, starts, strict=True)]).astype(
+            np.int32
+        )
 
     @functools.cached_property
     def extent(self) -> Array:
@@ -220,7 +222,9 @@ def only() -> Array:
 
 def turns(axis: int, count: int) -> Array:
     """(count, 3, 3) turns about an axis."""
-    return np.asarray(Rotation.from_rotvec(np.eye(3)[axis] * (np.arange(count)[:, None] * 2.0 * np.pi / count)).as_matrix())
+    return np.asarray(
+        Rotation.from_rotvec(np.eye(3)[axis] * (np.arange(count)[:, None] * 2.0 * np.pi / count)).as_matrix()
+    )
 
 
 def times(first: ArrayLike, second: ArrayLike) -> Array:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 
 from aerograsp_env.sim.visual.objects import VisualObject
@@ -44,11 +44,36 @@ def upright(item: VisualObject, rng: np.random.Generator) -> Array:
     return heading @ _down(normals[rng.choice(len(normals), p=weights)])
 
 
-def lying(item: VisualObject, rng: np.random.Generator, at: tuple[float, float] = (0.0, 0.0), height: float = 0.0) -> Placed:
-    """The object at rest on the plane z = `height`, its origin above `at` [m]."""
-    R = upright(item, rng)
+def lying(item: VisualObject, rng: np.random.Generator, at: ArrayLike = (0.0, 0.0), height: float = 0.0) -> Placed:
+    """The object at rest on the plane z = `height`, its origin above `at` (2,) [m]."""
+    return _set_down(item, upright(item, rng), np.asarray(at, dtype=np.float64), height)
+
+
+def _set_down(item: VisualObject, R: Array, at: Array, height: float) -> Placed:
     low = float((item.vertices @ R[2]).min())
-    return Placed(item, transform(R, np.array([*at, height - low])))
+    return Placed(item, transform(R, np.array([at[0], at[1], height - low])))
+
+
+def lined_up(items: list[VisualObject], rng: np.random.Generator, height: float = 0.0) -> list[Placed]:
+    """The objects flat and side by side along x, all pointing nearly the same way, as tools are laid out."""
+    heading, jitter = rng.choice([0.5, -0.5]) * np.pi, rng.uniform(0.0, 0.12)
+    gap, x = rng.uniform(0.01, 0.04), 0.0
+    placed: list[Placed] = []
+    for item in items:
+        over = np.diag([1.0, -1.0, -1.0]) if rng.random() < 0.5 else np.eye(3)
+        R = _turn(heading + rng.normal(0.0, jitter) + (np.pi if rng.random() < 0.1 else 0.0)) @ over
+        points = item.vertices @ R.T
+        x -= float(points[:, 0].min())
+        placed.append(_set_down(item, R, np.array([x, rng.normal(0.0, 0.01)]), height))
+        x += float(points[:, 0].max()) + gap
+    middle = np.array([0.5 * x, 0.0, 0.0])
+    return [Placed(item, transform(T[:3, :3], T[:3, 3] - middle)) for item, T in placed]
+
+
+def leaning(item: VisualObject, rng: np.random.Generator, at: ArrayLike, height: float) -> Placed:
+    """A long object whose far end is raised, as if it leaned on something: pitched by up to 50° about its lower end."""
+    R = _turn(rng.uniform(-np.pi, np.pi)) @ _pitch(rng.uniform(0.1, 0.85)) @ _roll(rng.choice([0.0, np.pi]))
+    return _set_down(item, R, np.asarray(at, dtype=np.float64), height)
 
 
 def footprint(placed: Placed) -> NDArray[np.float32]:
@@ -83,7 +108,8 @@ def scatter(
     for item in items:
         for attempt in range(12):
             at = rng.uniform(-1.0, 1.0, 2) * area
-            candidate = lying(item, rng, (float(at[0]), float(at[1])), height)
+            lean = stack > 0.0 and item.extent[0] > 0.12 and rng.random() < 0.15 * stack
+            candidate = (leaning if lean else lying)(item, rng, at, height)
             outline = footprint(candidate)
             hits = [top for other, top in shapes if overlap(outline, other) > 0.0]
             if hits and not (attempt >= 3 and rng.random() < stack):
@@ -92,11 +118,15 @@ def scatter(
                 lift = max(hits) - height
                 if lift > 0.06:
                     continue
-                candidate = Placed(item, transform(candidate.T_world_object[:3, :3], candidate.T_world_object[:3, 3] + (0.0, 0.0, lift)))
+                candidate = Placed(item, _raised(candidate.T_world_object, lift))
             placed.append(candidate)
             shapes.append((outline, float(candidate.points[:, 2].max())))
             break
     return placed
+
+
+def _raised(T: Array, lift: float) -> Array:
+    return transform(T[:3, :3], T[:3, 3] + np.array([0.0, 0.0, lift]))
 
 
 def on_pipe(item: VisualObject, rng: np.random.Generator, radius: float, along: float, axis_height: float) -> Placed:
@@ -113,3 +143,12 @@ def _turn(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
+
+def _pitch(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+
+
+def _roll(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

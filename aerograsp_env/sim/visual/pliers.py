@@ -48,10 +48,14 @@ def pliers(draw: Draw) -> Shape:
         moved = solid.moved(rotation=turn)
         parts += [(moved, look), (moved.moved(rotation=flip), look)]
     r = joint * draw.size(0.42, 0.3, 0.6)
-    rivet = lathe([(-0.56 * thick, 0.8 * r), (-0.52 * thick, r), (0.52 * thick, r), (0.56 * thick, 0.8 * r)], axis=2, sides=16)
+    rivet = lathe(
+        [(-0.56 * thick, 0.8 * r), (-0.52 * thick, r), (0.52 * thick, r), (0.56 * thick, 0.8 * r)], axis=2, sides=16
+    )
     parts.append((rivet, steel if not draw.chance(0.3) else draw.look(steel, looks.metal)))
     if kind == "pump":  # the jaws of water-pump pliers are bent to one side
-        parts = [(Solid(_bent(solid.vertices, joint, draw.size(0.5, 0.5, 0.5)), solid.faces), look) for solid, look in parts]
+        parts = [
+            (Solid(_bent(solid.vertices, joint, draw.size(0.5, 0.5, 0.5)), solid.faces), look) for solid, look in parts
+        ]
         return Shape(tuple(parts), only(), kind, (None, None, 0.0))
     return Shape(tuple(parts), turns(0, 2), kind, (None, 0.0, 0.0))
 
@@ -75,11 +79,23 @@ def _jaw(kind: str, draw: Draw) -> _Jaw:
         return _Jaw([(0.0, 0.0), (n, 0.0), (n, -0.12), (0.75 * n, -0.62), (0.4 * n, -0.95), (0.0, -1.0)], 0.55)
     if kind == "end-cutter":
         n = long * draw.size(1.5, 1.2, 1.8)
-        return _Jaw([(0.0, -0.2), (0.6 * n, -0.75), (0.95 * n, 0.0), (1.1 * n, -0.05), (1.05 * n, -0.8), (0.7 * n, -1.35), (0.0, -1.1)],
-                    1.2)  # fmt: skip
+        return _Jaw(
+            [
+                (0.0, -0.2),
+                (0.6 * n, -0.75),
+                (0.95 * n, 0.0),
+                (1.1 * n, -0.05),
+                (1.05 * n, -0.8),
+                (0.7 * n, -1.35),
+                (0.0, -1.1),
+            ],
+            1.2,
+        )
     if kind == "slip":
         n = long * draw.size(2.8, 2.3, 3.2)
-        return _Jaw([(0.0, 0.0), (0.4 * n, -0.3), (0.7 * n, -0.03), (n, 0.0), (n, -0.5), (0.5 * n, -0.95), (0.0, -1.0)], 0.7)
+        return _Jaw(
+            [(0.0, 0.0), (0.4 * n, -0.3), (0.7 * n, -0.03), (n, 0.0), (n, -0.5), (0.5 * n, -0.95), (0.0, -1.0)], 0.7
+        )
     if kind == "pump":
         n = long * draw.size(2.9, 2.4, 3.3)
         return _Jaw([(0.0, 0.0), (0.5 * n, -0.25), (n, 0.0), (n, -0.5), (0.6 * n, -1.05), (0.0, -1.0)], 0.9)
@@ -87,24 +103,44 @@ def _jaw(kind: str, draw: Draw) -> _Jaw:
     tip = draw.size(0.55, 0.42, 0.72) if kind == "combination" else draw.size(0.75, 0.6, 0.9)
     bite = draw.size(0.22, 0.0, 0.3)  # the hollow for round things
     return _Jaw(
-        [(0.0, 0.0), (0.32 * n, 0.0), (0.42 * n, -bite), (0.58 * n, -bite), (0.66 * n, 0.0), (n, 0.0), (n, -tip), (0.85 * n, -tip - 0.08),
-         (0.45 * n, -0.95), (0.2 * n, -1.02), (0.0, -1.0)],
+        [
+            (0.0, 0.0),
+            (0.32 * n, 0.0),
+            (0.42 * n, -bite),
+            (0.58 * n, -bite),
+            (0.66 * n, 0.0),
+            (n, 0.0),
+            (n, -tip),
+            (0.85 * n, -tip - 0.08),
+            (0.45 * n, -0.95),
+            (0.2 * n, -1.02),
+            (0.0, -1.0),
+        ],
         0.75,
-    )  # fmt: skip
+    )
 
 
 def _steel(jaw: _Jaw, joint: float, thick: float) -> Solid:
     """Jaw, joint and the root of the handle in one plate."""
     points = joint * np.array(jaw.outline)
-    neck = joint * np.array([(0.55, -0.75), (0.6, 0.0), (-0.3, 1.0), (-1.6, 1.25), (-2.2, 1.05), (-2.2, 0.55), (-1.0, 0.25), (-0.6, -0.5)])
+    neck = joint * np.array(
+        [(0.55, -0.75), (0.6, 0.0), (-0.3, 1.0), (-1.6, 1.25), (-2.2, 1.05), (-2.2, 0.55), (-1.0, 0.25), (-0.6, -0.5)]
+    )
     outline: manifold3d.CrossSection = polygon(points) + polygon(neck) + ellipse(0.98 * joint, 1.0 * joint, sides=20)
     n = float(points[:, 0].max())
-    profile = [(-2.2 * joint, 0.72 * thick), (-1.2 * joint, 0.85 * thick), (-0.8 * joint, thick), (0.9 * joint, thick),
-               (n, jaw.thin * thick)]  # fmt: skip
+    profile = [
+        (-2.2 * joint, 0.72 * thick),
+        (-1.2 * joint, 0.85 * thick),
+        (-0.8 * joint, thick),
+        (0.9 * joint, thick),
+        (n, jaw.thin * thick),
+    ]
     return solid_of(plate(outline, profile, 0.07 * thick))
 
 
-def _handle(joint: float, length: float, thick: float, steel: Look, grip: Look, second: Look, draw: Draw) -> list[tuple[Solid, Look]]:
+def _handle(
+    joint: float, length: float, thick: float, steel: Look, grip: Look, second: Look, draw: Draw
+) -> list[tuple[Solid, Look]]:
     """The upper handle: towards −x, bulging to +y."""
     belly, end = draw.size(1.75, 1.3, 2.3) * joint, draw.size(1.15, 0.8, 2.0) * joint
     if draw.chance(0.15):  # spreading straight

@@ -63,9 +63,15 @@ def _add_ground(spec: mujoco.MjSpec, ground: Ground, name: str, looks: dict[tupl
     material = _material(spec, ground.look, ground.repeat, _GROUND_PIXELS, looks)
     position, quaternion = _pose(ground.T_world_ground)
     spec.worldbody.add_geom(
-        name=name, type=_SHAPES[ground.shape], size=ground.size, pos=position, quat=quaternion, material=material,
-        contype=0, conaffinity=0,
-    )  # fmt: skip
+        name=name,
+        type=_SHAPES[ground.shape],
+        size=ground.size,
+        pos=position,
+        quat=quaternion,
+        material=material,
+        contype=0,
+        conaffinity=0,
+    )
 
 
 def _add_object(spec: mujoco.MjSpec, placed: Placed, name: str, looks: dict[tuple[Look, float, int], str]) -> int:
@@ -78,7 +84,13 @@ def _add_object(spec: mujoco.MjSpec, placed: Placed, name: str, looks: dict[tupl
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         material = _material(spec, part.look, 1.0, _PART_PIXELS, looks)
         body.add_geom(
-            name=f"{name}-{index}", type=_MESH, meshname=mesh.name, material=material, contype=0, conaffinity=0, mass=0.0
+            name=f"{name}-{index}",
+            type=_MESH,
+            meshname=mesh.name,
+            material=material,
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
         )
     return len(placed.object.parts)
 
@@ -91,12 +103,18 @@ def _material(
         name = f"look{len(looks)}"
         looks[key] = name
         material = spec.add_material(
-            name=name, rgba=[*look.rgb, 1.0], specular=look.specular, shininess=look.shininess,
-            texrepeat=[repeat, repeat], texuniform=pixels == _GROUND_PIXELS,
-        )  # fmt: skip
+            name=name,
+            rgba=[*look.rgb, 1.0],
+            specular=look.specular,
+            shininess=look.shininess,
+            texrepeat=[repeat, repeat],
+            texuniform=pixels == _GROUND_PIXELS,
+        )
         if look.texture is not None:
             image = texture_image(look.texture, look.rgb, look.seed, pixels)
-            texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=pixels, height=pixels, nchannel=3)
+            texture = spec.add_texture(
+                name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=pixels, height=pixels, nchannel=3
+            )
             texture.data = image.tobytes()
             material.textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
             material.rgba = np.ones(4)

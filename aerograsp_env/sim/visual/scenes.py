@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,12 @@ from aerograsp_env.sim.visual import looks as look_makers
 from aerograsp_env.sim.visual.distractors import distractor
 from aerograsp_env.sim.visual.looks import Look
 from aerograsp_env.sim.visual.objects import VisualObject, nominal_object, random_object
-from aerograsp_env.sim.visual.placing import Placed, on_pipe, scatter
+from aerograsp_env.sim.visual.placing import Placed, lined_up, on_pipe, scatter
 from aerograsp_env.sim.visual.textures import GROUNDS
 from aerograsp_env.spatial import transform
+
+if TYPE_CHECKING:
+    from aerograsp_env.sim.visual.scene_mjcf import SceneModel
 
 Array = NDArray[np.float64]
 Maker = Callable[[str, np.random.Generator], VisualObject]
@@ -98,8 +101,8 @@ class Scene:
             return np.array([0.0, 0.0, self.support_height])
         return np.mean([placed.T_world_object[:3, 3] for placed in self.objects], axis=0)
 
-    def model(self):  # type: ignore[no-untyped-def]  # SceneModel, whose module imports this one
-        """The compiled scene: `aerograsp_env.sim.visual.scene_mjcf.SceneModel`."""
+    def model(self) -> SceneModel:
+        """The compiled scene."""
         from aerograsp_env.sim.visual.scene_mjcf import compile_scene
 
         return compile_scene(self)
@@ -145,25 +148,32 @@ def _clutter(config: SceneConfig) -> tuple[int, int]:
 _Room = tuple[list[Placed], list[Placed], list[Ground], float, float]
 
 
-def _studio(config: SceneConfig, items: list[VisualObject], others: list[VisualObject], rng: np.random.Generator) -> _Room:
+def _studio(
+    config: SceneConfig, items: list[VisualObject], others: list[VisualObject], rng: np.random.Generator
+) -> _Room:
     sizes = [item.diameter for item in items] or [0.2]
     half = 0.42 * float(np.sqrt(np.sum(np.square(sizes)))) * rng.uniform(0.7, 1.3)
     area = (half * rng.uniform(0.7, 1.3), half * rng.uniform(0.7, 1.3))
     if len(items) == 1:
         area = (0.01, 0.01)
     stack = 0.6 if config.level == "cluttered" else 0.1
-    placed = scatter(items, rng, area, 0.0, stack)
+    if config.randomize and len(items) > 1 and rng.random() < 0.3:
+        placed = lined_up(items, rng)
+    else:
+        placed = scatter(items, rng, area, 0.0, stack)
     strewn = scatter(others, rng, (1.3 * half + 0.1, 1.3 * half + 0.1), 0.0, 0.3, placed)
-    ground = Ground("plane", (0.0, 0.0, 1.0), np.eye(4), ground_look(config, rng, plain=0.45), _repeat(rng, 2.0, 14.0))
+    ground = Ground("plane", (0.0, 0.0, 1.0), np.eye(4), ground_look(config, rng, plain=0.5), _repeat(rng, 2.0, 14.0))
     return placed, strewn, [ground], 0.0, half + 0.1
 
 
-def _aerial(config: SceneConfig, items: list[VisualObject], others: list[VisualObject], rng: np.random.Generator) -> _Room:
+def _aerial(
+    config: SceneConfig, items: list[VisualObject], others: list[VisualObject], rng: np.random.Generator
+) -> _Room:
     grounds = [Ground("plane", (0.0, 0.0, 1.0), np.eye(4), ground_look(config, rng, 0.2), _repeat(rng, 0.5, 6.0))]
     if rng.random() < 0.6:  # walls
+        angle = rng.uniform(-np.pi, np.pi)
         for k in range(int(rng.integers(1, 3))):
-            angle = rng.uniform(-np.pi, np.pi) if k == 0 else angle + 0.5 * np.pi  # noqa: F821
-            grounds.append(_wall(config, angle, rng.uniform(1.2, 3.5), rng))
+            grounds.append(_wall(config, angle + 0.5 * np.pi * k, rng.uniform(1.2, 3.5), rng))
     kind = "pipe" if any(item.label == "crawler" for item in items) and rng.random() < 0.75 else "table"
     if kind == "table" and rng.random() < 0.45:
         kind = "floor"
@@ -223,7 +233,9 @@ def ground_look(config: SceneConfig, rng: np.random.Generator, plain: float = 0.
     r, g, b = np.clip(color, 0.01, 1.0)
     rgb = (float(r), float(g), float(b))
     if rng.random() < plain:
-        return Look(rgb, None if rng.random() < 0.6 else "cloud", float(rng.uniform(0.0, 0.4)), 0.3, int(rng.integers(2**31)))
+        return Look(
+            rgb, None if rng.random() < 0.6 else "cloud", float(rng.uniform(0.0, 0.4)), 0.3, int(rng.integers(2**31))
+        )
     return Look(rgb, str(rng.choice(GROUNDS)), float(rng.uniform(0.0, 0.4)), 0.3, int(rng.integers(2**31)))
 
 
@@ -247,4 +259,8 @@ def draw_lights(config: SceneConfig, rng: np.random.Generator, height: float) ->
         kind = "point" if rng.random() < 0.5 else "directional"
         position = np.array([0.0, 0.0, height]) + rng.uniform(0.5, 3.0) * toward
         lights.append(Light(kind, position, -toward, color, bool(k == 0 or rng.random() < 0.3)))
-    return tuple(lights), share * total * tint, float(rng.uniform(0.0, 0.3)) if config.level == "dark" else float(rng.uniform(0.0, 1.0))
+    return (
+        tuple(lights),
+        share * total * tint,
+        float(rng.uniform(0.0, 0.3)) if config.level == "dark" else float(rng.uniform(0.0, 1.0)),
+    )

@@ -61,9 +61,15 @@ def _handle(
     if kind == "ergonomic":
         waist, belly = draw.size(0.68, 0.55, 0.85), draw.size(1.0, 0.9, 1.12)
         body = line(
-            (-1.0, 0.6), (-0.96, 0.9), (-0.85, belly), (-0.6, belly), (-0.35, 0.85), (-0.2, waist), (-0.08, 0.9 * belly),
+            (-1.0, 0.6),
+            (-0.96, 0.9),
+            (-0.85, belly),
+            (-0.6, belly),
+            (-0.35, 0.85),
+            (-0.2, waist),
+            (-0.08, 0.9 * belly),
             (0.0, 0.6),
-        )  # fmt: skip
+        )
         lobes = draw.pick(3, 0, 6, 4)
         parts = [(lathe(body, sides=24, lobes=lobes, depth=0.12 if lobes else 0.0), grip)]
         if draw.chance(0.75):  # soft zones
@@ -74,8 +80,9 @@ def _handle(
             parts.append((lathe(line((-1.02, 0.5), (-1.0, 0.75), (-0.94, 0.9)), sides=18), second))
         return parts
     if kind == "wooden":
-        body = line((-1.0, 0.5), (-0.95, 0.9), (-0.8, 1.1), (-0.6, 1.05), (-0.35, 0.7), (-0.22, 0.65), (-0.12, 0.8),
-                    (0.0, 0.6))  # fmt: skip
+        body = line(
+            (-1.0, 0.5), (-0.95, 0.9), (-0.8, 1.1), (-0.6, 1.05), (-0.35, 0.7), (-0.22, 0.65), (-0.12, 0.8), (0.0, 0.6)
+        )
         look = draw.look(looks.WOOD, looks.wood)
         ferrule = lathe(line((-0.12, 0.72), (0.03, 0.62), (0.06, 0.4)), sides=18)
         return [(lathe(body, sides=20), look), (ferrule, draw.look(looks.STEEL, looks.metal))]
@@ -83,7 +90,10 @@ def _handle(
         body = line((-0.9, 0.9), (-0.86, 1.0), (-0.25, 1.0), (-0.1, 0.6), (0.0, 0.45))
         cap = line((-1.0, 0.9), (-0.97, 1.1), (-0.92, 1.1), (-0.9, 0.6), (-0.88, 0.6))
         knurl = lathe(body, sides=24, lobes=draw.pick(0, 12, 6), depth=0.08)
-        return [(knurl, draw.look(looks.STEEL, looks.metal) if draw.chance(0.4) else grip), (lathe(cap, sides=16), second)]
+        return [
+            (knurl, draw.look(looks.STEEL, looks.metal) if draw.chance(0.4) else grip),
+            (lathe(cap, sides=16), second),
+        ]
     if kind == "bulb":  # clear or painted, thick at its end
         body = line((-1.0, 0.7), (-0.95, 1.1), (-0.75, 1.25), (-0.5, 1.0), (-0.25, 0.75), (-0.1, 0.8), (0.0, 0.5))
         return [(lathe(body, sides=24, lobes=draw.pick(0, 6, 8), depth=0.1), grip)]
@@ -104,10 +114,14 @@ def _tip(kind: str, start: float, rod: float, draw: Draw) -> Solid:
         flare, length = draw.size(1.2, 0.8, 1.7), rod * draw.size(5.0, 3.5, 7.0)
         rings = [(0.0, 1.0, 1.0), (0.45, flare, 0.6), (1.0, 0.95 * flare, 0.2)]
         corner = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * 0.9
-        return loft([
-            np.column_stack([np.full(4, start - 0.001 + length * t), corner[:, 0] * rod * w, corner[:, 1] * rod * h])
-            for t, w, h in rings
-        ])  # fmt: skip
+        return loft(
+            [
+                np.column_stack(
+                    [np.full(4, start - 0.001 + length * t), corner[:, 0] * rod * w, corner[:, 1] * rod * h]
+                )
+                for t, w, h in rings
+            ]
+        )
     length = rod * draw.size(4.0, 2.5, 5.0)
     profile = [(start - 0.001, rod), (start + 0.45 * length, 0.9 * rod), (start + length, 0.25 * rod)]
     if kind == "torx":

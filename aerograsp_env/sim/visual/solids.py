@@ -111,7 +111,9 @@ def polygon(points: ArrayLike) -> manifold3d.CrossSection:
     return manifold3d.CrossSection([line if area > 0.0 else line[::-1]])
 
 
-def ellipse(rx: float, ry: float, center: tuple[float, float] = (0.0, 0.0), sides: int = ROUND) -> manifold3d.CrossSection:
+def ellipse(
+    rx: float, ry: float, center: tuple[float, float] = (0.0, 0.0), sides: int = ROUND
+) -> manifold3d.CrossSection:
     """An ellipse of semi-axes rx, ry [m]."""
     angles = np.arange(sides) * (2.0 * np.pi / sides)
     return polygon(np.stack([rx * np.cos(angles) + center[0], ry * np.sin(angles) + center[1]], axis=1))
@@ -122,9 +124,7 @@ def rectangle(x0: float, x1: float, y0: float, y1: float) -> manifold3d.CrossSec
     return polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
-def plate(
-    outline: manifold3d.CrossSection, thickness: float | ArrayLike, bevel: float = 0.0
-) -> manifold3d.Manifold:
+def plate(outline: manifold3d.CrossSection, thickness: float | ArrayLike, bevel: float = 0.0) -> manifold3d.Manifold:
     """An outline in x and y given a thickness along z, the middle at z = 0.
 
     Args:
@@ -166,7 +166,9 @@ def solid_of(body: manifold3d.Manifold) -> Solid:
 
 def manifold_of(solid: Solid) -> manifold3d.Manifold:
     """The solid as a manifold, for Boolean operations."""
-    mesh = manifold3d.Mesh64(vert_properties=np.ascontiguousarray(solid.vertices), tri_verts=solid.faces.astype(np.uint64))
+    mesh = manifold3d.Mesh64(
+        vert_properties=np.ascontiguousarray(solid.vertices), tri_verts=solid.faces.astype(np.uint64)
+    )
     return manifold3d.Manifold(mesh)
 
 

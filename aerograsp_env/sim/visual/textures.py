@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,14 +33,14 @@ def noise(size: int, rng: RNG, slope: float = 1.0, channels: int = 1) -> Image:
     return np.moveaxis(image, 0, -1)
 
 
-def _shade(color: Image, amount: Image) -> Image:
+def _shade(color: NDArray[Any], amount: NDArray[Any]) -> Image:
     """The colour made darker or lighter by factors (S, S, 1)."""
     return color * np.clip(1.0 + amount, 0.0, 3.0)
 
 
 def _grid(size: int) -> tuple[Image, Image]:
     line = (np.arange(size, dtype=np.float32) + 0.5) / size
-    return np.meshgrid(line, line)  # type: ignore[return-value]
+    return np.meshgrid(line, line)
 
 
 def _other(color: Image, rng: RNG, far: float = 1.0) -> Image:

@@ -43,7 +43,7 @@ class Truth(NamedTuple):
     box: Array  # (4,) x1, y1, x2, y2 [px] edges of its visible pixels; the first pixel reaches from 0 to 1
     visibility: float  # share of its silhouette that is in the picture and not behind something else
     T_c_object: Array  # (4, 4)
-    index: int  # into the scene's objects
+    index: int  # type: ignore[assignment]  # into the scene's objects; tuple's own `index` is of no use here
 
     @property
     def difficult(self) -> bool:
@@ -109,7 +109,7 @@ def silhouette(item: VisualObject, T_c_object: Array, intrinsics: Intrinsics) ->
 
 
 @numba.njit(cache=True)
-def _count_pixels(triangles, width, height):  # type: ignore[no-untyped-def]
+def _count_pixels(triangles, width, height):
     """How many pixels have their centres in one of the triangles (N, 3, 2) [px] or more."""
     canvas = np.zeros((height, width), np.uint8)
     for i in range(len(triangles)):

@@ -36,11 +36,27 @@ def look_at(position: Array, target: Array, roll: float = 0.0) -> Array:
 
 
 def draw_viewpoint(scene: Scene, rng: np.random.Generator) -> Viewpoint:
-    """A viewpoint that suits the scene's style: 0.15–2 m away, never below the support."""
-    if scene.config.style == "studio":
-        return _studio(scene, rng)
+    """A viewpoint that suits the scene's style: 0.15–2 m away, never below the support.
+
+    Most have the middle of an object in the picture; one in ten or so may show none.
+    """
+    for _ in range(4):
+        viewpoint = _studio(scene, rng) if scene.config.style == "studio" else _aerial(scene, rng)
+        if any(_in_sight(viewpoint, placed.T_world_object[:3, 3]) for placed in scene.objects) or rng.random() < 0.1:
+            break
+    return viewpoint
+
+
+def _in_sight(viewpoint: Viewpoint, point: Array) -> bool:
+    """Whether a point is in the picture, if it is 4 to 3."""
+    x, y, z = viewpoint.T_world_camera[:3, :3].T @ (point - viewpoint.T_world_camera[:3, 3])
+    tall = np.tan(0.5 * viewpoint.fovy)
+    return bool(z > 0.05 and abs(y) < tall * z and abs(x) < 4.0 / 3.0 * tall * z)
+
+
+def _aerial(scene: Scene, rng: np.random.Generator) -> Viewpoint:
     elevation = np.radians(rng.uniform(22.0, 68.0))
-    distance, fovy = 0.6 + 1.4 * rng.random() ** 1.5, np.radians(rng.uniform(40.0, 62.0))
+    distance, fovy = 0.6 + 1.4 * rng.random() ** 2, np.radians(rng.uniform(40.0, 62.0))
     target = _target(scene, rng, 0.9) + rng.normal(0.0, 0.08, 3) * (1.0, 1.0, 0.2)
     roll = rng.normal(0.0, np.radians(6.0))
     return Viewpoint(look_at(_around(target, distance, elevation, rng), target, roll), float(fovy))
@@ -53,11 +69,11 @@ def _studio(scene: Scene, rng: np.random.Generator) -> Viewpoint:
         item = scene.objects[int(rng.integers(len(scene.objects)))]
         target, size = item.T_world_object[:3, 3].copy(), 0.5 * item.object.diameter
         target += rng.normal(0.0, 0.18 * size, 3) * (1.0, 1.0, 0.0)
-        fill = rng.uniform(0.5, 1.35)
+        fill = rng.uniform(0.55, 1.4)
     else:
         target, size = scene.center, _spread(scene)
         target = target + rng.normal(0.0, 0.12 * size, 3) * (1.0, 1.0, 0.0)
-        fill = rng.uniform(0.55, 1.35)
+        fill = rng.uniform(0.65, 1.35)
     distance = float(np.clip(size / np.tan(0.5 * fovy) / fill, 0.15, 2.0))
     roll = rng.uniform(-np.pi, np.pi) if rng.random() < 0.6 else rng.normal(0.0, 0.1)
     return Viewpoint(look_at(_around(target, distance, elevation, rng), target, roll), float(fovy))
@@ -77,5 +93,7 @@ def _target(scene: Scene, rng: np.random.Generator, share: float) -> Array:
 
 def _spread(scene: Scene) -> float:
     """Radius [m] of a circle around the middle that holds all objects."""
-    reach = [np.linalg.norm(p.T_world_object[:2, 3] - scene.center[:2]) + 0.5 * p.object.diameter for p in scene.objects]
+    reach = [
+        np.linalg.norm(p.T_world_object[:2, 3] - scene.center[:2]) + 0.5 * p.object.diameter for p in scene.objects
+    ]
     return float(max(reach, default=0.3))

@@ -11,8 +11,6 @@ from aerograsp_env.sim.visual import looks
 from aerograsp_env.sim.visual.objects import Draw, Shape, only, turns
 from aerograsp_env.sim.visual.solids import box, ellipse, lathe, plate, polygon, rectangle, smooth_path, solid_of, tube
 
-Section = manifold3d.CrossSection
-
 KINDS = ("combination", "open", "ring", "adjustable", "pipe")
 
 
@@ -35,7 +33,7 @@ def _fixed(kind: str, draw: Draw) -> Shape:
     angle = draw.size(math.radians(15.0), 0.0, math.radians(24.0))
     other = gap * draw.size(0.85, 0.7, 1.0) if kind == "open" else gap
     outline = polygon([(first, -0.42 * bar), (last, -0.5 * bar), (last, 0.5 * bar), (first, 0.42 * bar)])
-    holes: list[Section] = []
+    holes: list[manifold3d.CrossSection] = []
     if kind == "ring":
         holes.append(_ring(last, gap, draw))
         outline = outline + ellipse(0.98 * gap * 0.85, 0.98 * gap * 0.85, (last, 0.0))
@@ -53,8 +51,14 @@ def _fixed(kind: str, draw: Draw) -> Shape:
     for hole in holes:
         outline = outline - hole
     neck = draw.size(0.75, 0.55, 1.0)
-    profile = [(first - head, 1.15 * thick), (first + 0.7 * head, 1.15 * thick), (first + 1.6 * head, neck * thick),
-               (last - 1.6 * head, neck * thick), (last - 0.7 * head, thick), (last + head, thick)]  # fmt: skip
+    profile = [
+        (first - head, 1.15 * thick),
+        (first + 0.7 * head, 1.15 * thick),
+        (first + 1.6 * head, neck * thick),
+        (last - 1.6 * head, neck * thick),
+        (last - 0.7 * head, thick),
+        (last + head, thick),
+    ]
     body = plate(outline, profile, 0.08 * thick)
     if draw.chance(0.45):  # a recess on either side
         a, b, half = first + 1.7 * head, last - 1.7 * head, bar * draw.size(0.25, 0.2, 0.3)
@@ -66,22 +70,26 @@ def _fixed(kind: str, draw: Draw) -> Shape:
     return Shape(((solid_of(body), steel),), symmetries, kind, (None, 0.0 if kind == "ring" else None, 0.0))
 
 
-def _mirror(section: Section) -> Section:
+def _mirror(section: manifold3d.CrossSection) -> manifold3d.CrossSection:
     """Turned by 180°."""
     return section.rotate(180.0)
 
 
-def _open(x: float, head: float, angle: float) -> Section:
+def _open(x: float, head: float, angle: float) -> manifold3d.CrossSection:
     c = (x + 0.15 * head * math.cos(angle), 0.15 * head * math.sin(angle))
     return ellipse(head, head * 0.97, c, 32)
 
 
-def _mouth(x: float, gap: float, head: float, angle: float) -> Section:
-    slot = rectangle(-0.1 * gap, 3.0 * head, -0.5 * gap, 0.5 * gap) + ellipse(0.35 * gap, 0.5 * gap, (-0.1 * gap, 0.0), 12)
-    return slot.rotate(math.degrees(angle)).translate((x + 0.15 * head * math.cos(angle), 0.15 * head * math.sin(angle)))
+def _mouth(x: float, gap: float, head: float, angle: float) -> manifold3d.CrossSection:
+    slot = rectangle(-0.1 * gap, 3.0 * head, -0.5 * gap, 0.5 * gap) + ellipse(
+        0.35 * gap, 0.5 * gap, (-0.1 * gap, 0.0), 12
+    )
+    return slot.rotate(math.degrees(angle)).translate(
+        (x + 0.15 * head * math.cos(angle), 0.15 * head * math.sin(angle))
+    )
 
 
-def _ring(x: float, gap: float, draw: Draw) -> Section:
+def _ring(x: float, gap: float, draw: Draw) -> manifold3d.CrossSection:
     teeth = draw.pick(12, 6, 12)
     radius = gap * 0.5 / math.cos(math.pi / teeth) * draw.size(1.0, 0.95, 1.1)
     angles = np.arange(2 * teeth) * (np.pi / teeth)
@@ -98,17 +106,47 @@ def _adjustable(draw: Draw) -> Shape:
     deep = w * draw.size(0.95, 0.8, 1.15)  # of the jaws
     # the head in its own frame: jaws open towards +u; the fixed jaw is at +v, the movable one slides below it
     face = 0.25 * w
-    fixed = polygon([(-1.1 * w, 0.55 * w), (-0.3 * w, 1.05 * w), (0.45 * deep, 0.98 * w), (deep, 0.62 * w), (deep, face),
-                     (0.0, face), (0.0, -0.75 * w), (-0.25 * w, -0.98 * w), (-0.9 * w, -0.8 * w), (-1.3 * w, -0.2 * w)])  # fmt: skip
+    fixed = polygon(
+        [
+            (-1.1 * w, 0.55 * w),
+            (-0.3 * w, 1.05 * w),
+            (0.45 * deep, 0.98 * w),
+            (deep, 0.62 * w),
+            (deep, face),
+            (0.0, face),
+            (0.0, -0.75 * w),
+            (-0.25 * w, -0.98 * w),
+            (-0.9 * w, -0.8 * w),
+            (-1.3 * w, -0.2 * w),
+        ]
+    )
     low = face - gap
-    jaw = polygon([(-0.25 * w, low - 0.28 * w), (0.0, low - 0.02 * w), (0.05 * w, low), (0.97 * deep, low), (0.97 * deep, low - 0.22 * w),
-                   (0.45 * deep, low - 0.62 * w), (-0.05 * w, low - 0.80 * w), (-0.25 * w, low - 0.78 * w)])  # fmt: skip
+    jaw = polygon(
+        [
+            (-0.25 * w, low - 0.28 * w),
+            (0.0, low - 0.02 * w),
+            (0.05 * w, low),
+            (0.97 * deep, low),
+            (0.97 * deep, low - 0.22 * w),
+            (0.45 * deep, low - 0.62 * w),
+            (-0.05 * w, low - 0.80 * w),
+            (-0.25 * w, low - 0.78 * w),
+        ]
+    )
     window = rectangle(-0.78 * w, -0.26 * w, -0.55 * w, 0.0)
     top = 0.5 * length - deep
     start, bar, tail = -0.5 * length, w * draw.size(0.42, 0.34, 0.52), w * draw.size(0.52, 0.42, 0.62)
     neck = draw.size(0.85, 0.7, 1.0)
-    handle = polygon([(start + 0.15 * tail, -tail), (top - 1.4 * w, -bar * neck), (top - 0.4 * w, -0.55 * w), (top - 0.3 * w, 0.6 * w),
-                      (top - 1.4 * w, bar * neck), (start + 0.15 * tail, tail)]) + ellipse(0.5 * tail, tail, (start + 0.3 * tail, 0.0), 16)  # fmt: skip
+    handle = polygon(
+        [
+            (start + 0.15 * tail, -tail),
+            (top - 1.4 * w, -bar * neck),
+            (top - 0.4 * w, -0.55 * w),
+            (top - 0.3 * w, 0.6 * w),
+            (top - 1.4 * w, bar * neck),
+            (start + 0.15 * tail, tail),
+        ]
+    ) + ellipse(0.5 * tail, tail, (start + 0.3 * tail, 0.0), 16)
     frame = fixed.rotate(tilt).translate((top, 0.0))
     body = handle + frame
     if draw.chance(0.8) or draw.pick(True):
@@ -120,7 +158,9 @@ def _adjustable(draw: Draw) -> Shape:
     solid = plate(body, profile, 0.06 * thick)
     if draw.chance(0.55):  # recessed sides
         half = 0.55 * bar * neck
-        slot = rectangle(start + 2.2 * tail, top - 1.7 * w, -half, half) + ellipse(half, half, (start + 2.2 * tail, 0.0), 12)
+        slot = rectangle(start + 2.2 * tail, top - 1.7 * w, -half, half) + ellipse(
+            half, half, (start + 2.2 * tail, 0.0), 12
+        )
         for side in (-1.0, 1.0):
             solid = solid - slot.extrude(thick).translate((0.0, 0.0, side * 0.5 * thick * slim * 1.65 - 0.5 * thick))
     movable = plate(jaw.rotate(tilt).translate((top, 0.0)), 0.85 * thick, 0.05 * thick)
@@ -145,16 +185,47 @@ def _pipe(draw: Draw) -> Shape:
     w, thick = length * draw.size(0.055, 0.045, 0.065), length * draw.size(0.06, 0.05, 0.07)
     gap = w * draw.size(1.2, 0.5, 2.0)
     start, top = -0.5 * length, 0.5 * length - 2.2 * w - gap
-    lower = polygon([(start, -0.55 * w), (top - 1.5 * w, -0.6 * w), (top - 0.6 * w, -1.0 * w), (top, -1.0 * w), (top, 1.7 * w),
-                     (top - 0.7 * w, 1.7 * w), (top - 1.5 * w, 0.7 * w), (start, 0.7 * w)])  # fmt: skip
-    lower = lower + ellipse(0.5 * w, 0.8 * w, (start, 0.05 * w), 14) - ellipse(0.3 * w, 0.3 * w, (start + 0.3 * w, 0.05 * w), 12)
-    hook = polygon([(top - 2.4 * w, -1.15 * w), (top - 2.4 * w, -1.8 * w), (top + gap + 1.4 * w, -1.8 * w), (top + gap + 2.0 * w, -1.2 * w),
-                    (top + gap + 1.2 * w, 1.6 * w), (top + gap + 0.2 * w, 1.9 * w), (top + gap, 1.6 * w), (top + gap, -0.6 * w),
-                    (top + 0.6 * gap, -1.1 * w)])  # fmt: skip
-    paint, steel = draw.look(looks.Look((0.75, 0.12, 0.08), None, 0.2, 0.3), looks.plastic), draw.look(looks.STEEL, looks.metal)
+    lower = polygon(
+        [
+            (start, -0.55 * w),
+            (top - 1.5 * w, -0.6 * w),
+            (top - 0.6 * w, -1.0 * w),
+            (top, -1.0 * w),
+            (top, 1.7 * w),
+            (top - 0.7 * w, 1.7 * w),
+            (top - 1.5 * w, 0.7 * w),
+            (start, 0.7 * w),
+        ]
+    )
+    lower = (
+        lower
+        + ellipse(0.5 * w, 0.8 * w, (start, 0.05 * w), 14)
+        - ellipse(0.3 * w, 0.3 * w, (start + 0.3 * w, 0.05 * w), 12)
+    )
+    hook = polygon(
+        [
+            (top - 2.4 * w, -1.15 * w),
+            (top - 2.4 * w, -1.8 * w),
+            (top + gap + 1.4 * w, -1.8 * w),
+            (top + gap + 2.0 * w, -1.2 * w),
+            (top + gap + 1.2 * w, 1.6 * w),
+            (top + gap + 0.2 * w, 1.9 * w),
+            (top + gap, 1.6 * w),
+            (top + gap, -0.6 * w),
+            (top + 0.6 * gap, -1.1 * w),
+        ]
+    )
+    paint, steel = (
+        draw.look(looks.Look((0.75, 0.12, 0.08), None, 0.2, 0.3), looks.plastic),
+        draw.look(looks.STEEL, looks.metal),
+    )
     frame = box((1.6 * w, 3.3 * w, 1.15 * thick), (top - 1.0 * w, -0.5 * w, 0.0))
     nut = lathe([(top - 2.4 * w, 0.8 * w), (top - 1.6 * w, 0.8 * w)], sides=14).moved((0.0, -1.45 * w, 0.0))
     profile = [(start, 0.55 * thick), (top - 1.6 * w, 0.6 * thick), (top, 0.9 * thick)]
-    parts = ((solid_of(plate(lower, profile, 0.05 * thick)), paint), (solid_of(plate(hook, 0.7 * thick, 0.05 * thick)), steel),
-             (frame, paint), (nut, steel))  # fmt: skip
+    parts = (
+        (solid_of(plate(lower, profile, 0.05 * thick)), paint),
+        (solid_of(plate(hook, 0.7 * thick, 0.05 * thick)), steel),
+        (frame, paint),
+        (nut, steel),
+    )
     return Shape(parts, only(), "pipe", (None, None, 0.0))
