@@ -1,0 +1,1 @@
+"""Cameras that can be exchanged for each other, and images from files."""
