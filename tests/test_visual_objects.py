@@ -124,8 +124,10 @@ def test_surface_points_lie_outside_on_the_surface(label: str) -> None:
     assert colors.dtype == np.uint8
     assert np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() < 1e-9
     assert distance(points, item).max() < 1e-9
-    winding = np.max([igl.fast_winding_number(p.vertices, p.faces.astype(np.int64), points + 1e-4 * normals)
-                      for p in item.parts], axis=0)  # fmt: skip
+    winding = np.max(
+        [igl.fast_winding_number(p.vertices, p.faces.astype(np.int64), points + 1e-4 * normals) for p in item.parts],
+        axis=0,
+    )
     assert (winding < 0.5).mean() > 0.97  # but for points closer than 0.1 mm to an inner corner
 
 
