@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 import warnings
 from pathlib import Path
@@ -57,6 +58,7 @@ def export_onnx(
     writable_folder(out.absolute().parent)
     generator = torch.Generator().manual_seed(0)
     images = torch.rand((1, INPUTS[layout.input], *size), generator=generator)
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)  # names torchvision's
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")
         program = torch.onnx.export(

@@ -22,6 +22,7 @@ from agents.detect_input import network_input, suppress
 
 SCHEMA = "aerograsp-detector"
 CHANNELS = {"rgb": 3, "rgbd": 4}
+FACTS = ("family", "input", "size", "parameters", "pictures", "step")
 OVERLAP = 0.6
 """Intersection over union above which the lesser of two detections is dropped."""
 
@@ -121,6 +122,11 @@ class OnnxDetector:
             )
         self.threshold = self.card.threshold if threshold is None else float(threshold)
         self._compete = classes_compete
+
+    def facts(self) -> dict[str, Any]:
+        """Family, kind of input, size and number of parameters, as the card has them."""
+        text = self._session.get_modelmeta().custom_metadata_map["card"]
+        return {name: value for name, value in json.loads(text).items() if name in FACTS}
 
     def detect(self, frame: RGBD) -> list[Detection]:
         """The objects found in `frame`, best score first. A depth image of zeros is none at all."""

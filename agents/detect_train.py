@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from agents.arguments import INTERRUPTED, Parser, add_json
 from agents.detect_augment import Augmentation
-from agents.files import write_json, writable_folder
+from agents.files import writable_folder, write_json
 
 LATEST, BEST = "latest.safetensors", "best.safetensors"
 
@@ -93,7 +94,7 @@ class DetectTrainConfig:
 
 def train_detector(
     config: DetectTrainConfig,
-    dataset: str | Path,
+    datasets: Sequence[str | Path],
     validation: str | Path,
     out: str | Path,
     *,
@@ -108,7 +109,7 @@ def train_detector(
 
     Args:
         config: the options.
-        dataset: folder of the training pictures, written by `aerograsp dataset detect`.
+        datasets: folders of training pictures, written by `aerograsp dataset detect`.
         validation: folder of the validation pictures.
         out: folder of the run.
         images: how many of the first training pictures; all by default.
@@ -130,13 +131,15 @@ def train_detector(
     folder = Path(out)
     if (folder / LATEST).exists() and not (resume or overwrite):
         raise ValueError(f"out: {folder} already holds a run; resume it, overwrite it, or name another folder")
-    pictures, held_out = DetectDataset(dataset), DetectDataset(validation)
-    if tuple(pictures.classes) != tuple(held_out.classes):
-        raise ValueError(
-            f"validation: expected the classes of the training pictures {list(pictures.classes)}, "
-            f"got {list(held_out.classes)}"
-        )
-    layout = DetectorLayout(tuple(pictures.classes), config.family, config.input)
+    pictures, held_out = [DetectDataset(path) for path in datasets], DetectDataset(validation)
+    classes = tuple(held_out.classes)
+    for path, dataset in zip(datasets, pictures, strict=True):
+        if tuple(dataset.classes) != classes:
+            raise ValueError(
+                f"{path}: expected the classes of the validation pictures, {', '.join(classes)}; "
+                f"got {', '.join(dataset.classes)}"
+            )
+    layout = DetectorLayout(classes, config.family, config.input)
     writable_folder(folder)
     training = Training(config, layout, FrameCache(pictures, images), held_out, folder, command or [])
     if resume and not overwrite and (folder / LATEST).exists():
@@ -153,7 +156,7 @@ def main(argv: list[str]) -> int:
         description="Train a detector from scratch on rendered pictures.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("dataset", metavar="DATASET", help="folder of training pictures")
+    parser.add_argument("datasets", metavar="DATASET", nargs="+", help="folder of training pictures")
     parser.add_argument("--validation", metavar="FOLDER", required=True, help="folder of validation pictures")
     parser.add_argument("--out", metavar="FOLDER", help="of the run; by default runs/detect-<family>-<input>-<seed>")
     parser.add_argument("--images", metavar="N", type=int, help="only the first N training pictures")
@@ -171,7 +174,7 @@ def main(argv: list[str]) -> int:
     try:
         card = train_detector(
             config,
-            args.dataset,
+            args.datasets,
             args.validation,
             out,
             images=args.images,
