@@ -5,6 +5,7 @@ from baselines.detection.box_pose import BoxPose, pose_from_box
 from baselines.detection.clusters import euclidean_clusters
 from baselines.detection.outliers import remove_outliers
 from baselines.detection.plane import Plane, fit_plane
+from baselines.detection.pose_tracker import PoseTrack, PoseTracker
 from baselines.detection.registration import RegistrationResult, register
 from baselines.detection.shape_model import ShapeModel
 
@@ -12,6 +13,8 @@ __all__ = [
     "BoxPose",
     "DepthView",
     "Plane",
+    "PoseTrack",
+    "PoseTracker",
     "RegistrationResult",
     "ShapeModel",
     "align_model",
