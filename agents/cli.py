@@ -14,6 +14,9 @@ COMMANDS = {
     "play": ("agents.play", "film an episode as GIF or MP4"),
     "tune": ("agents.tune", "find controller gains on training seeds"),
     "calibrate": ("agents.calibrate", "the sensors' noise against Table 5.3"),
+    "detect": ("agents.detect", "find objects in images: boxes, labels, poses"),
+    "detector": ("agents.detector", "train, score and export learned detectors"),
+    "dataset": ("agents.dataset", "render data sets"),
     "plan": ("agents.plan", "rank grasps on a mesh or a point cloud, and draw them in a page"),
     "reproduce": ("agents.reproduce", "a published table beside what this project measures"),
 }
