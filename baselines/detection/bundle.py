@@ -22,7 +22,7 @@ class BundleResult(NamedTuple):
 
     T_c_o: Array  # (K, 4, 4) from the points' frame to each camera's; the first is as given
     points: Array  # (N, 3)
-    errors: Array  # (M,) reprojection errors [px], infinite behind the camera
+    errors: Array  # (M,) reprojection errors [px], the larger of two; infinite behind the camera
     rmse: float  # [px] root mean square of them
     converged: bool
     evaluations: int
@@ -35,6 +35,7 @@ class _Problem(NamedTuple):
     frame: Ints
     point: Ints
     intrinsics: Intrinsics
+    T_side_frame: Array  # (M, 4, 4) from the frame's camera to the one that saw it
 
     def moved(self, x: Array) -> tuple[Array, Array]:
         """Poses and points after the increments x: (rotation, translation) of each camera but the first, then points.
@@ -49,9 +50,10 @@ class _Problem(NamedTuple):
         return T, self.points + x[cameras.size :].reshape(-1, 3)
 
     def in_camera(self, T: Array, points: Array) -> tuple[Array, Array]:
-        """(M, 3) the observed points turned into their cameras' axes, and in their cameras' frames."""
+        """(M, 3) the observed points turned into their frames' axes, and in the frames of the cameras that saw them."""
         turned = np.einsum("mij,mj->mi", T[self.frame, :3, :3], points[self.point])
-        return turned, turned + T[self.frame, :3, 3]
+        side = self.T_side_frame
+        return turned, np.einsum("mij,mj->mi", side[:, :3, :3], turned + T[self.frame, :3, 3]) + side[:, :3, 3]
 
     def residual(self, x: Array) -> Array:
         _, p = self.in_camera(*self.moved(x))
@@ -62,7 +64,7 @@ class _Problem(NamedTuple):
         T, points = self.moved(x)
         turned, p = self.in_camera(T, points)
         p[:, 2] = np.maximum(p[:, 2], 1e-6)
-        by_position = pose_jacobian(p, self.intrinsics)[..., :3]  # (M, 2, 3)
+        by_position = pose_jacobian(p, self.intrinsics)[..., :3] @ self.T_side_frame[:, :3, :3]  # (M, 2, 3)
         by_point = by_position @ T[self.frame, :3, :3]
         cameras = x[: 6 * (len(self.T_c_o) - 1)].reshape(-1, 6)
         left = np.concatenate([np.zeros((1, 3, 3)), _left_jacobian(cameras[:, 3:])])
@@ -101,6 +103,8 @@ def bundle_adjust(
     point: ArrayLike,
     intrinsics: Intrinsics,
     max_evaluations: int = 100,
+    pixels_right: ArrayLike | None = None,
+    T_right_left: ArrayLike | None = None,
 ) -> BundleResult:
     """Poses and points of least reprojection error, on SciPy's sparse trust-region solver (Triggs et al. 2000).
 
@@ -113,6 +117,8 @@ def bundle_adjust(
         points: (N, 3) starting points.
         pixels: (M, 2) [px], free of distortion, of point `point` (M,) in camera `frame` (M,).
         max_evaluations: of the residuals.
+        pixels_right, T_right_left: (M, 2) [px] and (4, 4) of a second equal camera beside each; rows of
+            NaN where it does not see the point. With it, the scale is determined too.
 
     Raises:
         ValueError: shapes that do not match, rows that do not exist, or fewer residuals than unknowns.
@@ -125,12 +131,26 @@ def bundle_adjust(
     for name, rows, count in (("frame", frame, len(T)), ("point", point, len(points))):
         if len(rows) and not (rows.min() >= 0 and rows.max() < count):
             raise ValueError(f"{name}: expected rows below {count}, got {rows.min()} to {rows.max()}")
+    side = np.broadcast_to(np.eye(4), (len(pixels), 4, 4))
+    count = len(pixels)
+    if pixels_right is not None:
+        right, T_right = (
+            np.asarray(pixels_right, dtype=np.float64),
+            check_transform(np.asarray(T_right_left), "T_right_left"),
+        )
+        if right.shape != pixels.shape:
+            raise ValueError(f"pixels_right: expected shape {pixels.shape}, got {right.shape}")
+        also = np.nonzero(np.isfinite(right).all(axis=1))[0]
+        pixels, frame, point = (
+            np.concatenate(both) for both in ((pixels, right[also]), (frame, frame[also]), (point, point[also]))
+        )
+        side = np.concatenate([side, np.broadcast_to(T_right, (len(also), 4, 4))])
     unknowns = 6 * (len(T) - 1) + 3 * len(points)
     if 2 * len(pixels) < unknowns:
         raise ValueError(
             f"pixels: expected at least {unknowns} coordinates for as many unknowns, got {2 * len(pixels)}"
         )
-    problem = _Problem(T, points, pixels, frame, point, intrinsics)
+    problem = _Problem(T, points, pixels, frame, point, intrinsics, side)
     found = least_squares(
         problem.residual, np.zeros(unknowns), problem.jacobian, method="trf", x_scale="jac", tr_solver="lsmr",
         max_nfev=max_evaluations, ftol=1e-8, xtol=1e-10, gtol=1e-10,
@@ -140,4 +160,7 @@ def bundle_adjust(
     _, p = problem.in_camera(T, points)
     errors = np.linalg.norm(pinhole(p, intrinsics) - pixels, axis=1)
     errors = np.where(np.isfinite(errors), errors, np.inf)
-    return BundleResult(T, points, errors, float(np.sqrt((errors**2).mean())), found.status > 0, int(found.nfev))
+    rmse = float(np.sqrt((errors**2).mean()))
+    if pixels_right is not None:
+        np.maximum.at(errors, also, errors[count:])
+    return BundleResult(T, points, errors[:count], rmse, found.status > 0, int(found.nfev))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.interfaces import RGBD, Intrinsics
 from aerograsp_env.metrics import umeyama
-from aerograsp_env.spatial import as_array, check_transform, inverse, transform, transform_points
+from aerograsp_env.spatial import as_array, check_transform, inverse, project_to_so3, transform, transform_points
 from baselines.detection.bundle import bundle_adjust
 from baselines.detection.extraction import feature_kind
 from baselines.detection.feature_model import FeatureModel
@@ -74,7 +74,7 @@ def learn_from_stereo(
         stereo_features(left, right, rig, feature, n, mask, depth_range=depth_range)
         for (left, right), mask in zip(pairs, masks, strict=True)
     ]
-    return learn_feature_model(frames, rig.left, feature, T_c_object=T_c_object, name=name)
+    return learn_feature_model(frames, rig.left, feature, T_c_object=T_c_object, name=name, rig=rig)
 
 
 def learn_from_rgbd(
@@ -110,15 +110,17 @@ def learn_feature_model(
     min_views: int = 3,
     max_error: float = 2.0,
     ratio: float = 0.8,
-    descriptors_per_point: int = 6,
+    descriptors_per_point: int = 5,
     T_c_object: ArrayLike | None = None,
     name: str = "object",
+    rig: StereoRig | None = None,
 ) -> LearnedModel:
     """A feature model from frames around an object that stands still (Ramon Soria 2018, section 3.4).
 
     Consecutive frames are matched, the matches propagated to all pairs, and points seen in `min_views` frames adjusted
     with the cameras in one bundle. Its scale, which pictures of one camera leave open, is the one of the similarities
-    (Umeyama 1991) that bring the points to what the second camera measured in each frame: their median.
+    (Umeyama 1991) that bring the points to what the second camera measured in each frame: their median. With a rig of
+    equal cameras, a last bundle then holds the right images too, so that errors of scale do not add up along the way.
 
     A frame that does not fit onto the one before is left out, and named in the result.
 
@@ -128,8 +130,9 @@ def learn_feature_model(
         max_error: [px] beyond which an observation is dropped.
         ratio: of descriptor distances between consecutive frames.
         descriptors_per_point: at most, of its views evenly.
-        T_c_object: (4, 4) the object in the first used frame; None puts the origin into the middle of the points,
-            with the first camera's axes.
+        T_c_object: (4, 4) the object in the first frame, or (K, 4, 4) in all, to which the model's frame is fitted;
+            None puts the origin into the middle of the points, with the first used camera's axes.
+        rig: the stereo camera, where it was one.
 
     Raises:
         LearningError: too few frames fit together, or too few points are seen often enough.
@@ -144,13 +147,13 @@ def learn_feature_model(
             f"min_views, max_error, descriptors_per_point: expected ≥ 3, > 0 and ≥ 1, "
             f"got {min_views}, {max_error}, {descriptors_per_point}"
         )
-    T_given = None if T_c_object is None else check_transform(T_c_object, "T_c_object")
+    T_given = None if T_c_object is None else check_transform(T_c_object, "T_c_object").reshape(-1, 4, 4)
     chain = _chain(frames, intrinsics, ratio)
     used = [frames[i] for i in chain.frames]
     if len(used) < min_views:
         raise LearningError(f"frames: expected {min_views} or more that fit together, got {len(used)} of {len(frames)}")
     matches = propagate(chain.matches)
-    _close_loop(matches, used, intrinsics, ratio)
+    _join_beyond(matches, used, intrinsics, ratio)
     seen = observations(matches, [len(f.pixels) for f in used], min_views)
     point, frame, row = seen.point, seen.frame, seen.feature
     T = np.array(chain.T_c_o)
@@ -178,7 +181,19 @@ def learn_feature_model(
     scale, spread, metric = _scale(points, T, stereo, frame, point)
     points = scale * points
     T = transform(T[:, :3, :3], scale * T[:, :3, 3])
-    T_first_object = transform(np.eye(3), np.median(points, axis=0)) if T_given is None else inverse(T[0]) @ T_given
+    if rig is not None and rig.left[:6] == rig.right[:6] and all(f.pixels_right is not None for f in used):
+        right = np.array([used[f].pixels_right[r] for f, r in zip(frame, row, strict=True)])
+        joint = bundle_adjust(
+            T, points, pixels, frame, point, intrinsics, pixels_right=right, T_right_left=rig.T_right_left
+        )  # fmt: skip
+        T, points, errors = joint.T_c_o, joint.points, joint.errors
+    T_first_object = transform(np.eye(3), np.median(points, axis=0))
+    if T_given is not None:
+        known = [(k, i) for k, i in enumerate(chain.frames) if i < len(T_given)]
+        if not known:
+            raise LearningError("frames: the first is not used, which T_c_object is given for")
+        each = np.array([inverse(T[k]) @ T_given[i] for k, i in known])
+        T_first_object = transform(project_to_so3(each[:, :3, :3].mean(axis=0)), each[:, :3, 3].mean(axis=0))
     rows, owners = _representatives(point, frame, descriptors_per_point)
     model = FeatureModel(
         transform_points(inverse(T_first_object), points),
@@ -221,18 +236,19 @@ def _chain(frames: Sequence[FrameFeatures], intrinsics: Intrinsics, ratio: float
     return chain
 
 
-def _close_loop(
+def _join_beyond(
     matches: dict[tuple[int, int], Ints], frames: Sequence[FrameFeatures], intrinsics: Intrinsics, ratio: float
 ) -> None:
-    """Where the last frame shows the first's features again without a chain of matches, join them."""
+    """Match the ends of the sequence directly, which chains of neighbours do not reach, where they show the same."""
     last = len(frames) - 1
-    if last < 3:
-        return
-    rows, solved = _step(frames[0], frames[last], intrinsics, ratio)
-    if solved.T_c_object is not None:
-        known = matches[0, last]
-        new = ~np.isin(rows[:, 0], known[:, 0]) & ~np.isin(rows[:, 1], known[:, 1])
-        matches[0, last] = np.concatenate([known, rows[new]])
+    for i, j in ((0, last), (0, last - 1), (1, last)):
+        if j - i < 3:
+            continue
+        rows, solved = _step(frames[i], frames[j], intrinsics, ratio)
+        if solved.T_c_object is not None:
+            known = matches[i, j]
+            new = ~np.isin(rows[:, 0], known[:, 0]) & ~np.isin(rows[:, 1], known[:, 1])
+            matches[i, j] = np.concatenate([known, rows[new]])
 
 
 def _scale(points: Array, T_c_o: Array, stereo: Array, frame: Ints, point: Ints) -> tuple[float, float, float]:

@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from aerograsp_env.interfaces import RGBD, Detection, Intrinsics
 from aerograsp_env.spatial import as_array, check_transform, transform_points
 from baselines.detection.extraction import FeatureKind, check_image, extract, feature_kind
-from baselines.detection.pnp import solve_pnp
+from baselines.detection.pnp import PnPResult, pinhole, solve_pnp, undistorted
 from baselines.detection.stereo_features import check_size
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 VERSION = 1  # of the file
-NEIGHBORS = 8  # descriptors looked at for the nearest of another point
-FEATURES = 1500  # of a picture
+FEATURES = 2500  # of a picture
+SEARCH = 40.0  # [px] around where the guess puts a point
 
 
 class FeaturePose(NamedTuple):
@@ -158,23 +158,25 @@ class FeatureModel:
             )
         if not 0.0 < ratio <= 1.0:
             raise ValueError(f"ratio: expected a number in (0, 1], got {ratio}")
-        if not len(given) or not len(self.descriptors):
-            return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        return _pair(self._distances(given), ratio)
+
+    def _distances(self, given: NDArray) -> NDArray[np.float32]:
+        """(F, N) from each given descriptor to each point's nearest; infinite for a point without any."""
         assert self.owners is not None
-        norm = cv2.NORM_L2 if self.kind.dtype is np.float32 else cv2.NORM_HAMMING
-        kind = cv2.CV_32F if norm == cv2.NORM_L2 else cv2.CV_32S
-        count = min(NEIGHBORS, len(self.descriptors))
-        distances, nearest = cv2.batchDistance(
-            np.ascontiguousarray(given), self.descriptors, kind, normType=norm, K=count
-        )
-        owner = self.owners[np.asarray(nearest).reshape(len(given), count)]
-        far = np.asarray(distances, dtype=np.float64).reshape(len(given), count)
-        other = np.where(owner != owner[:, :1], far, np.inf).min(axis=1)
-        rows = np.nonzero(far[:, 0] < ratio * other)[0] if len(self) > 1 else np.arange(len(given))
-        rows = rows[np.argsort(far[rows, 0], kind="stable")]
-        _, first = np.unique(owner[rows, 0], return_index=True)  # the closest of those that resemble one point
-        rows = rows[np.sort(first)]
-        return rows, owner[rows, 0]
+        nearest = np.full((len(given), len(self)), np.inf, dtype=np.float32)
+        if not len(given) or not len(self.descriptors):
+            return nearest
+        if self.kind.dtype is np.float32:
+            lengths = (given**2).sum(axis=1)[:, None] + (self.descriptors**2).sum(axis=1)
+            distances = np.sqrt(np.maximum(lengths - 2.0 * given @ self.descriptors.T, 0.0))
+        else:
+            found, _ = cv2.batchDistance(
+                np.ascontiguousarray(given), self.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING
+            )
+            distances = np.asarray(found, dtype=np.float32)
+        names, starts = np.unique(self.owners, return_index=True)
+        nearest[:, names] = np.minimum.reduceat(distances, starts, axis=1)
+        return nearest
 
     def locate(
         self,
@@ -193,7 +195,8 @@ class FeatureModel:
         Args:
             image: (H, W) or (H, W, 3) RGB, uint8.
             mask: (H, W) bool: where to look; None is everywhere.
-            T_guess: (4, 4) a pose to try as well, such as the last picture's.
+            T_guess: (4, 4) about where it should be, such as where it was in the last picture: tried as well, and where
+                the whole picture gives no pose, features are also sought near to where it puts the points.
             n: features of the picture at most.
             ratio: see `match`.
             threshold, min_inliers, confidence: see `pnp.solve_pnp`.
@@ -205,17 +208,50 @@ class FeatureModel:
             ValueError: an image of another shape, type or size than the intrinsics', or settings out of range.
         """
         check_size(check_image(image), intrinsics, "image")
+        if not 0.0 < ratio <= 1.0:
+            raise ValueError(f"ratio: expected a number in (0, 1], got {ratio}")
         found = extract(image, self.kind, n, mask)
-        rows, points = self.match(found.descriptors, ratio)
-        pixels = found.pixels[rows]
-        solved = solve_pnp(
-            self.points[points], pixels, intrinsics, threshold, min_inliers, confidence, T_guess=T_guess
-        )  # fmt: skip
-        inside = solved.inliers
+        distances = self._distances(found.descriptors)
+        rows, points = _pair(distances, ratio)
+
+        def solve(T_start: ArrayLike | None = None, spread: float | None = None) -> PnPResult:
+            return solve_pnp(
+                self.points[points], found.pixels[rows], intrinsics, threshold, min_inliers, confidence,
+                T_guess=T_start, spread=spread,
+            )  # fmt: skip
+
+        solved = solve(T_guess)
+        if solved.T_c_object is None and T_guess is not None:
+            # What lies near where it was expected need only differ from what else would lie there.
+            near = self._near(found.pixels, T_guess, intrinsics, SEARCH)
+            guided = _pair(np.where(near, distances, np.inf), ratio)
+            rows, points = (np.concatenate(both) for both in zip((rows, points), guided, strict=True))
+            _, first = np.unique(points, return_index=True)
+            rows, points = rows[np.sort(first)], points[np.sort(first)]
+            solved = solve(T_guess, SEARCH)
+        if solved.T_c_object is not None:
+            # More of the object's features, now that it is known where they must be, for a better pose.
+            limit = np.quantile(distances[rows, points][solved.inliers], 0.9)
+            near = self._near(found.pixels, solved.T_c_object, intrinsics, threshold)
+            more = _pair(np.where(near & (distances <= limit), distances, np.inf), 1.0)
+            if len(more[0]) > solved.inliers.sum():
+                kept, (rows, points) = (rows, points), more
+                again = solve(solved.T_c_object)
+                if again.inliers.sum() > solved.inliers.sum():
+                    solved = again
+                else:
+                    rows, points = kept
+        inside, pixels = solved.inliers, found.pixels[rows]
         return FeaturePose(
             solved.T_c_object, int(inside.sum()), len(rows), points[inside], pixels[inside], solved.rmse,
             solved.covariance, solved.reason,
         )  # fmt: skip
+
+    def _near(self, pixels: Array, T_c_object: ArrayLike, intrinsics: Intrinsics, radius: float) -> NDArray[np.bool_]:
+        """(F, N) whether a pixel lies within `radius` [px] of where a point would be seen."""
+        where = pinhole(transform_points(check_transform(T_c_object, "T_guess"), self.points), intrinsics)
+        gap = undistorted(pixels, intrinsics)[:, None] - np.nan_to_num(where, nan=np.inf)
+        return (gap**2).sum(axis=-1) <= radius**2
 
     def box(self, T_c_object: ArrayLike, intrinsics: Intrinsics) -> Array | None:
         """(4,) xyxy [px] of all points' pixels within the image; None where the object is not in view."""
@@ -258,6 +294,22 @@ class FeatureDetector:
                 score = pose.inliers / (pose.inliers + 12.0)
                 found.append(Detection(label, score, box, pose.T_c_object, pose.covariance))
         return sorted(found, key=lambda d: -d.score)
+
+
+def _pair(distances: NDArray[np.float32], ratio: float) -> tuple[Ints, Ints]:
+    """Rows and columns of the finite smallest entries of rows, below `ratio` times the row's next, each column once."""
+    if not distances.size:
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    best = distances.argmin(axis=1)
+    every = np.arange(len(distances))
+    least = distances[every, best]
+    others = distances.copy()
+    others[every, best] = np.inf
+    rows = np.nonzero(np.isfinite(least) & (least < ratio * others.min(axis=1)))[0]
+    rows = rows[np.argsort(least[rows], kind="stable")]
+    _, first = np.unique(best[rows], return_index=True)  # the closest of those that resemble one point
+    rows = rows[np.sort(first)]
+    return rows, best[rows]
 
 
 def _line(fault: BaseException) -> str:

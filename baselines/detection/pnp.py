@@ -118,12 +118,14 @@ def refine_pose(
     return T
 
 
-def chance(pairs: int, inliers: int, threshold: float, intrinsics: Intrinsics) -> float:
+def chance(pairs: int, inliers: int, share: float) -> float:
     """Expected number of poses with so many inliers among random pairs (Moisan & Stival 2004, eq. 5, four of sample).
 
-    A random pair agrees with a probability of the disc of radius `threshold` [px] over the image.
+    Args:
+        share: probability that a random pair agrees with a given pose: of the threshold's disc, in which its pixel
+            must lie, in all the area where it may.
     """
-    log_p = math.log(min(math.pi * threshold**2 / (intrinsics.width * intrinsics.height), 1.0))
+    log_p = math.log(min(share, 1.0))
 
     def choose(n: int, k: int) -> float:
         return float(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))
@@ -141,6 +143,7 @@ def solve_pnp(
     confidence: float = 0.999,
     iterations: int = 1000,
     T_guess: ArrayLike | None = None,
+    spread: float | None = None,
 ) -> PnPResult:
     """Pose of an object from pairs of points and pixels, some of them wrong.
 
@@ -157,6 +160,8 @@ def solve_pnp(
         confidence: probability of a sample without wrong pairs at which sampling stops.
         iterations: samples at most.
         T_guess: (4, 4) a pose to try beside RANSAC's, such as the last frame's.
+        spread: [px] within which of the guess's pixels the pairs were sought, if they were: wrong ones then agree more
+            often by chance. None: in the whole image.
 
     Raises:
         ValueError: shapes that do not match, values that are not finite, or settings out of range.
@@ -198,7 +203,10 @@ def solve_pnp(
     count, _, T, inliers = best
     if count < min_inliers:
         return _failure(len(points), f"{count} inliers of {len(points)} pairs, {min_inliers} needed")
-    if chance(len(points), count, threshold, intrinsics) > CHANCE:
+    share = math.pi * threshold**2 / (intrinsics.width * intrinsics.height)
+    if spread is not None:
+        share = max(share, (threshold / spread) ** 2)
+    if chance(len(points), count, share) > CHANCE:
         return _failure(len(points), f"{count} inliers of {len(points)} pairs, as many as by chance")
     squares = (_errors(points, ideal, intrinsics, T)[inliers] ** 2).sum()
     sigma = math.sqrt(squares / max(2 * count - 6, 1))

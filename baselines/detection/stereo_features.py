@@ -16,6 +16,9 @@ from baselines.objects.matching import match_descriptors
 
 Array = NDArray[np.float64]
 
+RIGHT = 5
+"""How many times more features the right image may have: nothing masks it, and the others are filtered out."""
+
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
@@ -47,6 +50,7 @@ class FrameFeatures(NamedTuple):
     pixels: Array  # (N, 2) [px] in the left or only image, free of distortion
     points_c: Array  # (N, 3) [m] in that camera's frame
     descriptors: NDArray  # (N, D)
+    pixels_right: Array | None = None  # (N, 2) [px] in the right image; None from a camera with depth
 
 
 def epipolar_distances(pixels_left: ArrayLike, pixels_right: ArrayLike, rig: StereoRig) -> Array:
@@ -129,7 +133,7 @@ def stereo_features(
     Args:
         left, right: (H, W) or (H, W, 3) RGB, uint8.
         feature: see `extraction.feature_kind`.
-        n: features at most in each image.
+        n: features at most in the left image, and `RIGHT` times as many in the right one.
         mask: (H, W) bool: where in the left image features may lie.
         ratio: of the nearest descriptor's distance to the second nearest's.
         max_epipolar, max_error: [px].
@@ -141,7 +145,7 @@ def stereo_features(
     kind = feature if isinstance(feature, FeatureKind) else feature_kind(feature)
     check_size(left, rig.left, "left")
     check_size(right, rig.right, "right")
-    a, b = extract(left, kind, n, mask), extract(right, kind, n)
+    a, b = extract(left, kind, n, mask), extract(right, kind, RIGHT * n)  # where the mask is there is not known
     pairs = match_descriptors(a.descriptors, b.descriptors, ratio=ratio)
     order = np.argsort(pairs.query)
     pixels_l = undistorted(a.pixels[pairs.query[order]], rig.left)
@@ -154,7 +158,7 @@ def stereo_features(
     for pixels, camera, T in ((pixels_l, rig.left, np.eye(4)), (pixels_r, rig.right, rig.T_right_left)):
         error = np.linalg.norm(pinhole(transform_points(T, points), camera) - pixels, axis=1)
         good &= np.nan_to_num(error, nan=np.inf) <= max_error
-    return FrameFeatures(pixels_l[good], points[good], described[good])
+    return FrameFeatures(pixels_l[good], points[good], described[good], pixels_r[good])
 
 
 def rgbd_features(
