@@ -209,9 +209,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--workers", type=int, default=1, help="processes (default %(default)s)")
 
 
-def run(args: argparse.Namespace) -> int:
+def run(args: argparse.Namespace, command: str | None = None) -> int:
     """Write a data set; 130 if interrupted, which loses at most the block in work."""
-    command = "aerograsp " + shlex.join(sys.argv[1:])
     try:
         folder = write_dataset(
             *(args.out, args.images, args.seed, args.split, (args.size[0], args.size[1]), not args.no_randomize),
@@ -229,7 +228,8 @@ def main(argv: list[str] | None = None) -> int:
     """`python -m agents.detect_dataset`, the same as `aerograsp dataset detect`."""
     parser = argparse.ArgumentParser(prog="aerograsp dataset detect", description=__doc__.split("\n")[0])
     add_arguments(parser)
-    return run(parser.parse_args(argv))
+    arguments = sys.argv[1:] if argv is None else argv
+    return run(parser.parse_args(arguments), shlex.join(["aerograsp", "dataset", "detect", *arguments]))
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import igl
@@ -88,7 +89,7 @@ def test_lined_up_tools_lie_side_by_side() -> None:
     rng = np.random.default_rng(3)
     placed = lined_up([random_object("pliers", rng) for _ in range(5)], rng)
     spans = sorted((p.points[:, 0].min(), p.points[:, 0].max()) for p in placed)
-    assert all(after[0] > before[1] for before, after in zip(spans, spans[1:], strict=False))
+    assert all(after[0] > before[1] for before, after in itertools.pairwise(spans))
     assert spans[0][0] + spans[-1][1] == pytest.approx(0.0, abs=0.05)
 
 

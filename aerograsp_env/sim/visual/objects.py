@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from aerograsp_env.sim.visual.looks import Look, another
-from aerograsp_env.sim.visual.solids import Solid
+from aerograsp_env.sim.visual.solids import Shaded, Solid, shaded
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -80,6 +80,11 @@ class VisualObject:
         return np.concatenate([part.faces + start for part, start in zip(self.parts, starts, strict=True)]).astype(
             np.int32
         )
+
+    @functools.cached_property
+    def shaded(self) -> tuple[Shaded, ...]:
+        """The parts with normals to draw them by: smooth but for sharp edges."""
+        return tuple(shaded(part.vertices, part.faces) for part in self.parts)
 
     @functools.cached_property
     def extent(self) -> Array:

@@ -80,7 +80,9 @@ def _add_object(spec: mujoco.MjSpec, placed: Placed, name: str, looks: dict[tupl
     body = spec.worldbody.add_body(name=name, pos=position, quat=quaternion)
     for index, part in enumerate(placed.object.parts):
         mesh = spec.add_mesh(name=f"{name}-{index}")
-        mesh.uservert, mesh.userface = part.vertices.ravel(), part.faces.ravel()
+        drawn = placed.object.shaded[index]
+        mesh.uservert, mesh.userface = drawn.vertices.ravel(), drawn.faces.ravel()
+        mesh.usernormal, mesh.userfacenormal = drawn.normals.ravel(), drawn.faces.ravel()  # MuJoCo: one a vertex
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
         material = _material(spec, part.look, 1.0, _PART_PIXELS, looks)
         body.add_geom(

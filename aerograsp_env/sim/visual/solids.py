@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 ROUND = 24  # sides of what is round
+CREASE = np.radians(38.0)  # [rad] between faces, beyond which their edge is drawn as one
 
 
 class Solid(NamedTuple):
@@ -176,6 +177,42 @@ def signed_volume(vertices: Array, faces: NDArray[np.integer]) -> float:
     """Volume [m³] of a closed surface, negative where its faces point inwards."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
+class Shaded(NamedTuple):
+    """A surface whose vertices are split along sharp edges: no longer watertight by its indices."""
+
+    vertices: Array  # (V, 3) [m]
+    faces: NDArray[np.int32]  # (F, 3), in the order of the closed surface's
+    normals: Array  # (V, 3) unit
+
+
+def shaded(vertices: Array, faces: NDArray[np.integer], crease: float = CREASE) -> Shaded:
+    """A surface with normals for smooth shading that keeps edges.
+
+    The normal of a face's corner is the mean, by area, of the normals of those faces around its vertex that make at
+    most the angle `crease` [rad] with its own face.
+    """
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    unit = cross / np.maximum(np.linalg.norm(cross, axis=1, keepdims=True), 1e-300)
+    corner = faces.ravel()
+    order = np.argsort(corner, kind="stable")  # corners by their vertex
+    count = np.bincount(corner, minlength=len(vertices))
+    start = np.cumsum(count) - count
+    many = count[corner]
+    mine = np.repeat(np.arange(len(corner)), many)  # each corner beside every corner at its vertex
+    offset = np.arange(len(mine)) - np.repeat(np.cumsum(many) - many, many)
+    other = order[start[corner[mine]] + offset] // 3
+    near = np.einsum("ij,ij->i", unit[mine // 3], unit[other]) >= np.cos(crease) - 1e-9
+    mine, other = mine[near], other[near]
+    total = np.stack([np.bincount(mine, cross[other, k], len(corner)) for k in range(3)], axis=1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    flat = np.repeat(unit, 3, axis=0)
+    normals = np.where(length > 1e-12, total / np.maximum(length, 1e-300), flat)
+    keys = np.column_stack([corner, np.round(normals * 1e3)]).astype(np.int64) @ (1 << 36, 1 << 24, 1 << 12, 1)
+    _, first, index = np.unique(keys, return_index=True, return_inverse=True)
+    return Shaded(vertices[corner[first]], index.reshape(-1, 3).astype(np.int32), normals[first])
 
 
 def outward(vertices: Array, faces: NDArray[np.integer]) -> Solid:
