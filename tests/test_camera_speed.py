@@ -1,0 +1,26 @@
+"""The comparison of frames with bare casts: what it measures is what it says."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from agents.camera_speed import GEOMS, SIZES, Row, measure, scene, table
+
+
+def test_the_scene_has_forty_geoms_and_two_meshes_of_five_thousand_faces() -> None:
+    model, _ = scene()
+    assert model.ngeom == GEOMS == 40
+    meshes = model.geom_dataid[model.geom_type == int(mujoco.mjtGeom.mjGEOM_MESH)]
+    assert len(meshes) == 2 and (model.mesh_facenum[meshes] == 5120).all()
+    assert model.ntex == 1 and model.nlight == 1
+
+
+def test_every_size_is_measured_and_shown() -> None:
+    rows, fault = measure(repeats=1)
+    assert [row.size for row in rows] == list(SIZES)
+    assert all(row.cast_seconds > 0.0 and row.frame_seconds > 0.0 and row.ratio > 0.0 for row in rows)
+    assert all((row.gl_ratio is None) == (fault is not None) for row in rows)
+    text = table([Row(64, 1e-3, 2e-3, 3e-3, 2.0, None, None)], "no EGL")
+    assert "64×64" in text and "2.00" in text and "no EGL" in text
+    assert np.isfinite([row.noisy_seconds for row in rows]).all()
