@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.spatial import check_transform
 from baselines.detection.checks import check_points, check_positive
+from baselines.detection.color_registration import ColoredCloud, iterate_with_colors
 from baselines.detection.spacing import cloud_size, point_spacing
 from baselines.objects.point_cloud import PointCloudObject
 
@@ -110,6 +111,8 @@ def register(
     given = {"resolution": resolution, "reach": reach, "gate": gate}
     given = {name: check_positive(value, name) for name, value in given.items() if value is not None}
     scales = Scales(**given) if len(given) == 3 else default_scales(moving, fixed)._replace(**given)  # type: ignore[arg-type]
+    if method == "color":
+        return _register_colors(source, target, moving, fixed, start, scales, min_inlier_fraction, max_iterations)
     return _register_shapes(moving, fixed, start, method, scales, min_inlier_fraction, max_iterations)
 
 
@@ -162,12 +165,45 @@ def _register_shapes(
     return RegistrationResult(T, True, rmse, fraction, iterations)
 
 
-def _crop(points: Array, around: Array, margin: float) -> Array:
-    """The points inside a cloud's bounding box, widened by a margin [m]."""
+def _register_colors(
+    source: Any,
+    target: Any,
+    moving: Array,
+    fixed: Array,
+    start: Array,
+    scales: Scales,
+    least_fraction: float,
+    max_iterations: int,
+) -> RegistrationResult:
+    colors = []
+    for name, cloud in (("source", source), ("target", target)):
+        if not isinstance(cloud, PointCloudObject) or cloud.colors is None:
+            raise ValueError(f"{name}: expected a PointCloudObject with colors for the method 'color'")
+        colors.append(cloud.colors)
+    near = _inside(fixed, moving @ start[:3, :3].T + start[:3, 3], 2.0 * scales.reach)
+    if near.sum() < LEAST:
+        return failed()
+    one = ColoredCloud(moving, colors[0], scales.resolution)
+    other = ColoredCloud(fixed[near], colors[1][near], scales.resolution)
+    if min(len(one.points), len(other.points)) < LEAST:
+        return failed()
+    T, rested, iterations = iterate_with_colors(one, other, start, scales.reach, scales.gate, max_iterations, LEAST)
+    rmse, fraction = _fit(T, small_gicp.PointCloud(one.points), small_gicp.KdTree(other.points), scales.gate)
+    if not rested or fraction < least_fraction:
+        return failed(rmse, fraction, iterations)
+    return RegistrationResult(T, True, rmse, fraction, iterations)
+
+
+def _inside(points: Array, around: Array, margin: float) -> NDArray[np.bool_]:
+    """Which points lie inside a cloud's bounding box, widened by a margin [m]."""
     low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
-    if (points.min(axis=0) >= low).all() and (points.max(axis=0) <= high).all():
-        return points
-    return points[((points >= low) & (points <= high)).all(axis=1)]
+    return ((points >= low) & (points <= high)).all(axis=1)
+
+
+def _crop(points: Array, around: Array, margin: float) -> Array:
+    """The points inside a cloud's bounding box, widened by a margin [m]; not copied where that is all of them."""
+    inside = _inside(points, around, margin)
+    return points if inside.all() else points[inside]
 
 
 def _prepared(points: Array, resolution: float) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
