@@ -11,7 +11,8 @@ import gymnasium
 if TYPE_CHECKING:
     from aerograsp_env.interfaces import Policy
 
-EPISODE_STEPS: dict[str, int | None] = {  # at 50 Hz
+EPISODE_STEPS: dict[str, int | None] = {  # at 50 Hz, where nothing else is said
+    "aerograsp/Detect-v0": 40,  # at 10 Hz
     "aerograsp/Dock-v0": 3000,
     "aerograsp/DockAttach-v0": 3000,
     "aerograsp/DockManipulate-v0": 1500,
@@ -22,6 +23,7 @@ EPISODE_STEPS: dict[str, int | None] = {  # at 50 Hz
 }
 
 ENTRY_POINTS: dict[str, tuple[str, str | None]] = {  # of one world, and of a native batch where there is one
+    "aerograsp/Detect-v0": ("aerograsp_env.envs.detect:DetectEnv", None),
     "aerograsp/Dock-v0": ("aerograsp_env.envs.dock:DockEnv", "aerograsp_env.vector:DockVectorEnv"),
     "aerograsp/DockAttach-v0": ("aerograsp_env.envs.dock:DockAttachEnv", "aerograsp_env.vector:DockAttachVectorEnv"),
     "aerograsp/Grasp-v0": ("aerograsp_env.envs.grasp:GraspEnv", "aerograsp_env.grasp_vector:GraspVectorEnv"),
@@ -38,6 +40,7 @@ ENTRY_POINTS: dict[str, tuple[str, str | None]] = {  # of one world, and of a na
 }
 
 REFERENCE_POLICIES: dict[str, str] = {
+    "aerograsp/Detect-v0": "baselines.policies.detect:clusters_icp",
     "aerograsp/Dock-v0": "baselines.policies.dock:pid",
     "aerograsp/DockAttach-v0": "baselines.policies.dock_attach:pid",
     "aerograsp/Grasp-v0": "baselines.policies.grasp:grasp_dls",

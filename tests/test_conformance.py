@@ -18,6 +18,9 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import aerograsp_env
+from aerograsp_env.envs.detect import DetectEnv
+from aerograsp_env.envs.detect_action import SLOTS
+from aerograsp_env.envs.detect_options import _options as detect_options
 from aerograsp_env.envs.dock import DockAttachEnv, DockEnv
 from aerograsp_env.envs.dock_manipulate import DockManipulateEnv, dock_manipulate_task
 from aerograsp_env.envs.grasp import GraspEnv, grasp_task
@@ -39,6 +42,7 @@ from aerograsp_env.sim.manipulation.config import (
     PoseEstimateConfig,
 )
 from aerograsp_env.sim.objects import test_objects as named_objects
+from aerograsp_env.sim.rgbd_camera import RGBDCameraConfig
 from aerograsp_env.sim.scene import JOINT_NAMES, PIPE_HEIGHT
 from aerograsp_env.sim.sensors import SensorConfig
 from aerograsp_env.sim.wind import WindConfig
@@ -48,6 +52,7 @@ PLAN = "aerograsp/GraspPlan-v0"
 REACH = "aerograsp/Reach-v0"
 DOCK_MANIPULATE = "aerograsp/DockManipulate-v0"
 GRASP, GRASP_DUAL = "aerograsp/Grasp-v0", "aerograsp/GraspDual-v0"
+DETECT = "aerograsp/Detect-v0"
 DOCKS = (DOCK, ATTACH)
 LIFTS = (GRASP, GRASP_DUAL)
 CLASSES = {
@@ -58,7 +63,10 @@ CLASSES = {
     DOCK_MANIPULATE: DockManipulateEnv,
     GRASP: GraspEnv,
     GRASP_DUAL: GraspDualEnv,
+    DETECT: DetectEnv,
 }
+# What a picture shows is tested elsewhere: here it is small, and shows what is soon made.
+QUICK: dict[str, Any] = {"camera_config": RGBDCameraConfig(width=48, height=36), "labels": ("can", "box")}
 SMALL: dict[str, Any] = {"width": 48, "height": 40}
 
 # Every value of every named option, and one instance of each configuration.
@@ -162,7 +170,24 @@ GRASP_OPTIONS: list[dict[str, Any]] = [
     {"level": "combined"},
     *({"objects": objects} for objects in ("test", "train", "validation", "mug", ["mug", "can"], named_objects()[3])),
 ]
+DETECT_OPTIONS: list[dict[str, Any]] = [
+    {},
+    *({"level": level} for level in ("easy", "cluttered", "dark", "blurred")),
+    *({"labels": labels} for labels in ("crawler", ("can", "fruit"))),
+    *({"motion": motion} for motion in ("any", "hover", "pass", "orbit")),
+    *({"sensors": sensors} for sensors in ("rgbd", "stereo")),
+    {"camera_backend": "ray"},
+    *({"camera_config": camera} for camera in (RGBDCameraConfig(40, 36), {"width": 36, "height": 40})),
+    *({"wind": wind} for wind in ("calm", "light", "gusty", WindConfig(4.0, 0.3, 1.0), {"mean_speed": 1.0})),
+    *(
+        {"randomize": value}
+        for value in (False, True, ManipulationRandomizeConfig(mass=(1.1, 1.2)), {"drag": (1.0, 2.0)})
+    ),
+    *({"reward_mode": mode} for mode in ("dense", "sparse")),
+    *({"render_mode": mode} for mode in (None, "rgb_array", "depth_array")),
+]
 OPTIONS = {
+    DETECT: DETECT_OPTIONS,
     GRASP: GRASP_OPTIONS,
     GRASP_DUAL: GRASP_DUAL_OPTIONS,
     DOCK: DOCK_OPTIONS,
@@ -174,7 +199,9 @@ OPTIONS = {
 
 
 def make(env_id: str = DOCK, **options: Any) -> Any:
-    """The bare environment of any id, without Gymnasium's wrappers."""
+    """The bare environment of any id, without Gymnasium's wrappers; where it has a camera, with a small image."""
+    if env_id == DETECT:
+        options = {**QUICK, **options}
     return make_dock(env_id, **options) if env_id in DOCKS else gymnasium.make(env_id, **options).unwrapped
 
 
@@ -207,7 +234,8 @@ def equal(first: Any, second: Any) -> bool:
 def test_gymnasiums_and_stable_baselines3s_checkers_find_nothing(env_id, options):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        env = gymnasium.make(env_id, **SMALL, **options)
+        quick = QUICK if env_id == DETECT else {}
+        env = gymnasium.make(env_id, **SMALL, **{**quick, **options})
         check_env(env.unwrapped)
         sb3_check_env(env.unwrapped if hasattr(env.unwrapped, "compute_reward") else env, warn=True)
         env.close()
@@ -239,6 +267,8 @@ def test_the_options_above_name_every_option_there_is():
     ):
         known = {*inspect.signature(env.__init__).parameters, *inspect.signature(task).parameters}
         assert known - {"self", "options"} - looks == {name for option in options for name in option}
+    known = {*inspect.signature(DetectEnv.__init__).parameters, *inspect.signature(detect_options).parameters}
+    assert known - {"self", "options"} - looks == {name for option in DETECT_OPTIONS for name in option}
     known = {*inspect.signature(GraspPlanEnv.__init__).parameters}
     assert known - {"self"} - looks == {name for options in PLAN_OPTIONS for name in options}
 
@@ -248,7 +278,7 @@ def test_the_options_above_name_every_option_there_is():
 
 def rollout(env: gymnasium.Env, seed: int, steps: int = 130) -> list[Any]:
     rng = np.random.default_rng(0)
-    steps = 6 if isinstance(env, GraspPlanEnv) else steps  # of it every one is an episode
+    steps = {GraspPlanEnv: 6, DetectEnv: 12}.get(type(env), steps)  # of the first every one is an episode
     trace: list[Any] = [env.reset(seed=seed)]
     for _ in range(steps):  # more than two blocks of the noise that is drawn ahead
         trace.append(env.step(rng.uniform(-0.3, 0.3, env.action_space.shape).astype(np.float32)))
@@ -264,6 +294,9 @@ def truth(env) -> tuple[np.ndarray, ...]:
         item = env.object
         body = (np.array([item.mass, item.friction]), item.inertia, item.center_of_mass, item.vertices)
         return generator, env.T_cloud_object, *env._observation.values(), *body
+    if isinstance(env, DetectEnv):  # the flight's state, and what the camera saw
+        poses = [item.T_c_object for item in env.truths]
+        return generator, *env._flight.truth(), env.T_world_camera, *poses, *env._observation().values()
     model, data = env.model, env.data
     for flag in (mujoco.mjtState.mjSTATE_FULLPHYSICS, mujoco.mjtState.mjSTATE_INTEGRATION):
         assert mujoco.mj_stateSize(model, flag) > 0
@@ -296,12 +329,18 @@ REACH_VARIANTS: list[dict[str, Any]] = [
 ]
 DOCK_MANIPULATE_VARIANTS: list[dict[str, Any]] = [*VARIANTS, {"payload": 0.2, "command_frame": "heading"}]
 LIFT_VARIANTS: list[dict[str, Any]] = [{}, {"randomize": True, "command_delay": (0.02, 0.10), "level": "oblique"}]
+DETECT_VARIANTS: list[dict[str, Any]] = [
+    {},
+    {"randomize": True, "wind": "gusty", "level": "cluttered"},
+    {"sensors": "stereo", "motion": "orbit"},
+]
 PLAN_VARIANTS: list[dict[str, Any]] = [{}, {"randomize": True, "objects": "train"}, {"points": 64}]
 every_variant = pytest.mark.parametrize(
     ("env_id", "options"),
     [
         *((env_id, options) for env_id in DOCKS for options in VARIANTS),
         *((PLAN, options) for options in PLAN_VARIANTS),
+        *((DETECT, options) for options in DETECT_VARIANTS),
         *((REACH, options) for options in REACH_VARIANTS),
         *((DOCK_MANIPULATE, options) for options in DOCK_MANIPULATE_VARIANTS),
         *((env_id, options) for env_id in LIFTS for options in LIFT_VARIANTS),
@@ -578,6 +617,8 @@ def tables(cls: type) -> list[list[list[str]]]:
 @every_id
 def test_the_documented_action_table_is_the_action_space(env_id):
     env, table = make(env_id), tables(CLASSES[env_id])[0]
+    if env_id == DETECT:  # the table is that of one slot
+        table = [[str(k * len(table) + int(row[0])), *row[1:]] for k in range(SLOTS) for row in table]
     assert env.action_space == gymnasium.spaces.Box(-1.0, 1.0, (len(table),), np.float32)
     assert len(env.action_layout) == len(table)
     for i, (row, dimension) in enumerate(zip(table, env.action_layout, strict=True)):
@@ -588,13 +629,15 @@ def test_the_documented_action_table_is_the_action_space(env_id):
 
 @every_id
 def test_the_documented_observation_table_is_the_observation_space(env_id):
-    env, table = make(env_id), tables(CLASSES[env_id])[1]
+    env, table = gymnasium.make(env_id).unwrapped, tables(CLASSES[env_id])[1]
     observation, _ = env.reset(seed=0)
     assert {row[0] for row in table} == set(env.observation_space.spaces) == set(observation)
     for name, size, bound, _ in table:  # a bound is "high" for ± high, or "low … high"
         box = env.observation_space[name]
         low, _, high = bound.rpartition(" … ")
-        assert box.shape == (int(size),) and box.dtype == np.float32
+        image = " x " in size
+        assert box.shape == tuple(int(n) for n in size.split(" x "))
+        assert box.dtype == (np.uint8 if image else np.float32)
         np.testing.assert_allclose(box.high, float(high), rtol=1e-7)
         np.testing.assert_allclose(box.low, float(low) if low else -float(high), rtol=1e-7)
 
@@ -744,6 +787,25 @@ DOCK_MANIPULATE_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
 ]
 
 
+DETECT_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
+    ({"level": "darc"}, ("level", "'dark'")),
+    ({"labels": "hamer"}, ("labels", "'hammer'")),
+    ({"labels": ()}, ("labels", "at least one")),
+    ({"motion": "orbits"}, ("motion", "'orbit'")),
+    ({"sensors": "rgb"}, ("sensors", "'rgbd'")),
+    ({"camera_backend": "rays"}, ("camera_backend", "'ray'")),
+    ({"camera_config": {"widht": 3}}, ("camera_config", "widht")),
+    ({"camera_config": {"max_depth": 9.0}}, ("camera_config", "max_depth", "6 m")),
+    ({"camera_config": "small"}, ("camera_config", "RGBDCameraConfig")),
+    ({"wind": "gustyy"}, ("wind", "'gusty'")),
+    ({"randomize": "yes"}, ("randomize", "ManipulationRandomizeConfig")),
+    ({"level ": "dark"}, ("level ", "did you mean 'level'")),
+    ({"reward_mode": "spars"}, ("reward_mode", "'sparse'")),
+    ({"render_mode": "human"}, ("render_mode", "'rgb_array'")),
+    ({"width": 0}, ("width",)),
+]
+
+
 GRASP_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"level": "eazy"}, ("level", "'easy'")),
     ({"level": {"masse": (0.1, 0.2)}}, ("level", "'mass'")),
@@ -774,6 +836,7 @@ GRASP_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
         *((DOCK_MANIPULATE, options, words) for options, words in DOCK_MANIPULATE_REFUSALS),
         *((env_id, options, words) for env_id in DOCKS for options, words in DOCK_REFUSALS),
         *((PLAN, options, words) for options, words in PLAN_REFUSALS),
+        *((DETECT, options, words) for options, words in DETECT_REFUSALS),
     ],
     ids=lambda value: named(value) if isinstance(value, dict) else "" if isinstance(value, tuple) else value,
 )

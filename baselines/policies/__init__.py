@@ -1,6 +1,10 @@
 """Reference policies by id, as "module:factory" strings; the only modules that read observation dictionaries."""
 
 POLICIES: dict[str, dict[str, str]] = {
+    "aerograsp/Detect-v0": {
+        "clusters+icp": "baselines.policies.detect:clusters_icp",
+        "oracle-truth": "baselines.policies.detect:truth",
+    },
     "aerograsp/Dock-v0": {
         "pid": "baselines.policies.dock:pid",
         "pid-tuned": "baselines.policies.dock:pid_tuned",

@@ -1,0 +1,187 @@
+"""Finding objects in flight without a network.
+
+`clusters+icp`: Euclidean clusters over planes and pipes (thesis, section 3.2), recognised by size, outline, relief and
+colours; the class's nominal shape, stretched to the cluster and aligned to it by ICP (section 3.3); class and pose are
+followed from frame to frame, with what the vehicle's attitude and velocity estimates say of the camera's way.
+
+`oracle-truth` reports what the simulator knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerograsp_env.envs.detect_action import detections_to_action, observed_frame, observed_intrinsics
+from aerograsp_env.interfaces import RGBD, Detection
+from aerograsp_env.spatial import Array, inverse
+from baselines.policies.detect_descriptors import Description, describe
+from baselines.policies.detect_pose import fit_pose, model_of
+from baselines.policies.detect_proposals import Proposal, find_proposals
+from baselines.policies.detect_recognition import NAMES, NOTHING, Forest, shipped
+from baselines.policies.detect_tracks import Odometry, Track, associate, blend
+
+Observation = Mapping[str, NDArray[Any]]
+
+GATE = 0.08  # [m] that a thing's middle may move between frames
+FORGET = 0.85  # weight of the evidence so far in each new frame
+LEAST_GAIN = 0.15  # of a new pose in the smoothed one
+MISSED = 6  # frames after which a track is dropped
+LEAST_SCORE = 0.35  # of what is reported
+
+
+class RowState(NamedTuple):
+    """What is remembered of one world."""
+
+    odometry: Odometry
+    tracks: tuple[Track, ...]
+
+
+class ClusterPolicy:
+    """Clusters, recognised and aligned, followed from frame to frame."""
+
+    def __init__(self, recognizer: Forest | None = None) -> None:
+        self._recognizer = recognizer
+
+    def predict(
+        self,
+        observation: Observation,
+        state: tuple[RowState | None, ...] | None = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], tuple[RowState | None, ...]]:
+        """(action, state): action (184,) or (N, 184) float32 in [−1, 1]."""
+        del deterministic
+        batched = np.ndim(observation["rgb"]) == 4
+        rows = _rows(observation) if batched else [observation]
+        before = list(state) if state is not None else [None] * len(rows)
+        if episode_start is not None:
+            fresh = np.broadcast_to(np.asarray(episode_start, dtype=bool), (len(rows),))
+            before = [None if new else old for new, old in zip(fresh, before, strict=True)]
+        results = [self._act(row, old) for row, old in zip(rows, before, strict=True)]
+        actions = np.stack([action for action, _ in results])
+        return (actions if batched else actions[0]), tuple(new for _, new in results)
+
+    def _act(self, observation: Observation, before: RowState | None) -> tuple[NDArray[np.float32], RowState]:
+        odometry = Odometry.begin() if before is None else before.odometry
+        odometry, T_start_camera = odometry.advance(observation, before is None)
+        tracks = () if before is None else before.tracks
+        frame = seen_frame(observation)
+        detections, tracks = self._look(frame, T_start_camera, tracks)
+        return detections_to_action(detections, frame.intrinsics), RowState(odometry, tracks)
+
+    def _look(
+        self, frame: RGBD, T_start_camera: Array, tracks: tuple[Track, ...]
+    ) -> tuple[list[Detection], tuple[Track, ...]]:
+        camera = frame.intrinsics
+        proposals = find_proposals(frame, T_start_camera[2, :3], np.random.default_rng(0))
+        described = [describe(proposal, 1.0 / (camera.fx * camera.fy)) for proposal in proposals]
+        places = np.array([(T_start_camera @ item.T_c_box)[:3, 3] for item in described]).reshape(-1, 3)
+        owners = associate(tracks, places, GATE)
+        found: list[Detection] = []
+        kept = [
+            track._replace(missed=track.missed + 1)
+            for k, track in enumerate(tracks)
+            if k not in owners and track.missed < MISSED
+        ]
+        for proposal, item, place, owner in zip(proposals, described, places, owners, strict=True):
+            track = self._follow(None if owner < 0 else tracks[owner], item, place)
+            track, detection = self._report(track, proposal, item, T_start_camera)
+            kept.append(track)
+            if detection is not None:
+                found.append(detection)
+        return found, tuple(kept)
+
+    def _follow(self, track: Track | None, item: Description, place: Array) -> Track:
+        recognizer = self._recognizer or shipped()
+        evidence = recognizer.log_probabilities(item.features)
+        if track is None:
+            return Track(place, evidence, 1, 0)
+        return track._replace(
+            place=place, evidence=FORGET * track.evidence + evidence, frames=track.frames + 1, missed=0
+        )
+
+    def _report(
+        self, track: Track, proposal: Proposal, item: Description, T_start_camera: Array
+    ) -> tuple[Track, Detection | None]:
+        p = np.exp(track.evidence - track.evidence.max())
+        p /= p.sum()
+        best = int(p[: NAMES.index(NOTHING)].argmax())
+        score, label = float(p[best]), NAMES[best]
+        if score < LEAST_SCORE:
+            return track, None
+        T_seen = T_start_camera @ fit_pose(label, proposal, item).T_c_object
+        if track.label == label and track.T_start_object is not None:
+            gain = max(1.0 / track.frames, LEAST_GAIN)
+            T_seen = blend(track.T_start_object, T_seen, model_of(label).symmetries, gain)
+        track = track._replace(label=label, T_start_object=T_seen)
+        return track, Detection(label, score, proposal.box, inverse(T_start_camera) @ T_seen)
+
+
+def _rows(observation: Observation) -> list[Observation]:
+    return [{name: value[row] for name, value in observation.items()} for row in range(len(observation["rgb"]))]
+
+
+def seen_frame(observation: Observation) -> RGBD:
+    """The frame of one observation; of a stereo pair with the depth that block matching finds."""
+    if "depth" in observation:
+        return observed_frame(observation)
+    import cv2
+
+    camera = observed_intrinsics(observation)
+    left, right = (cv2.cvtColor(np.asarray(observation[name]), cv2.COLOR_RGB2GRAY) for name in ("rgb", "right"))
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=0, numDisparities=96, blockSize=5, P1=200, P2=800, disp12MaxDiff=1, uniquenessRatio=5,
+        speckleWindowSize=60, speckleRange=2, mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )  # fmt: skip
+    disparity = matcher.compute(left, right).astype(np.float32) / 16.0
+    reach = camera.fx * float(observation["baseline"][0])
+    depth = np.where(disparity > reach / 6.0, reach / np.maximum(disparity, 1e-3), 0.0).astype(np.float32)
+    return RGBD(np.asarray(observation["rgb"]), depth, camera)
+
+
+def clusters_icp() -> ClusterPolicy:
+    """The policy `clusters+icp`."""
+    return ClusterPolicy()
+
+
+class TruthOracle:
+    """Reports the simulator's truth: an upper bound, and a check that the task can be done."""
+
+    def __init__(self) -> None:
+        self._worlds: Sequence[Any] = ()
+
+    def watch(self, worlds: Sequence[Any]) -> None:
+        """Be told which unwrapped environments it acts in, row by row."""
+        self._worlds = list(worlds)
+
+    def predict(
+        self,
+        observation: Observation,
+        state: Any = None,
+        episode_start: NDArray[np.bool_] | None = None,
+        deterministic: bool = True,
+    ) -> tuple[NDArray[np.float32], None]:
+        """(action, None); of difficult objects nothing is said.
+
+        Raises:
+            ValueError: not told of as many worlds as there are rows.
+        """
+        batched = np.ndim(observation["rgb"]) == 4
+        rows = _rows(observation) if batched else [observation]
+        if len(self._worlds) != len(rows):
+            raise ValueError(f"watch: expected to be told of {len(rows)} worlds, was told of {len(self._worlds)}")
+        actions = []
+        for row, world in zip(rows, self._worlds, strict=True):
+            true = [true for true in world.truths if not true.difficult]
+            found = [Detection(item.label, 1.0, item.box, item.T_c_object) for item in true]
+            actions.append(detections_to_action(found, observed_intrinsics(row)))
+        return (np.stack(actions) if batched else actions[0]), None
+
+
+def truth() -> TruthOracle:
+    """The oracle `oracle-truth`."""
+    return TruthOracle()
