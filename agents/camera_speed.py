@@ -2,9 +2,9 @@
 
 The scene has 40 geoms, two of them meshes of 5120 faces, and one light. A frame is colour with image textures and exact
 shadows, depth and segmentation. The bare cast is one call of `mujoco.mj_multiRay` with the same rays, without normals.
-OpenGL draws colour, depth and segmentation, where it works. All in turns, in one process, warm, in processor time (other
-programs then disturb less; OpenGL in software may use several threads, whose times add); each ratio is the median of
-the ratios of its turns.
+OpenGL draws colour, depth and segmentation, where it works. All in turns, in one process, warm, in processor time
+(other programs then disturb less; OpenGL in software may use several threads, whose times add); each ratio is the
+median of the ratios of its turns.
 """
 
 from __future__ import annotations
