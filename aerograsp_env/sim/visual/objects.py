@@ -20,7 +20,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -290,11 +290,4 @@ def random_object(label: str, rng: np.random.Generator, colors: bool = True) -> 
     Raises:
         ValueError: an unknown label.
     """
-    build = _builder(label)
-    error: Any = None
-    for _ in range(8):  # rarely, dimensions do not go together
-        try:
-            return finish(label, build(Draw(rng, colors)))
-        except ValueError as problem:
-            error = problem
-    raise error
+    return finish(label, _builder(label)(Draw(rng, colors)))
