@@ -6,7 +6,7 @@ One `np.random.Generator` decides all of it, so that a picture depends on nothin
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -157,7 +157,7 @@ def _draw(
     # OpenCV's whole numbers are the centres of pixels, ours their corners.
     matrix = np.column_stack([linear, shift + linear @ [0.5, 0.5] - 0.5])
     scale = float(np.sqrt(abs(np.linalg.det(linear))))
-    source = frame.rgb
+    source: NDArray[Any] = frame.rgb
     if scale < 0.7:  # thin parts would fall between the samples
         source = cv2.blur(source, (2, 2) if scale > 0.45 else (3, 3))
     border = tuple(int(value) for value in rng.integers(0, 256, 3))

@@ -1,6 +1,6 @@
-"""`aerograsp detector evaluate MODEL DATASET`: the figures of the thesis's Tables 3.3 and 3.4 for trained detectors.
+"""`aerograsp detector eval MODEL DATASET`: the figures of the thesis's Tables 3.3 and 3.4 for trained detectors.
 
-    aerograsp detector evaluate detector.onnx data/test --json scores.json --page scores.html
+    aerograsp detector eval detector.onnx data/test --json scores.json --page scores.html
 
 mAP at IoU 0.5 and 0.75 and recall for each class, precision and recall at the detector's own threshold, and the time
 of one picture from pixels to boxes on one thread. Objects that are difficult (hidden for the most part, or tiny) are
@@ -88,11 +88,11 @@ def _with_bar(dataset: Any, count: int) -> Iterable[Any]:
 
 
 def main(argv: list[str]) -> int:
-    """`aerograsp detector evaluate`."""
+    """`aerograsp detector eval`."""
     from agents.detect_dataset import DetectDataset
 
     parser = Parser(
-        prog="aerograsp detector evaluate",
+        prog="aerograsp detector eval",
         description="mAP, recall and time of detectors on labelled pictures.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
@@ -105,7 +105,7 @@ def main(argv: list[str]) -> int:
     args = parser.parse_args(argv)
     dataset = DetectDataset(args.dataset)
     results = [evaluate(model, dataset, not args.no_depth, args.images) for model in args.models]
-    facts = provenance(["aerograsp", "detector", "evaluate", *argv])
+    facts = provenance(["aerograsp", "detector", "eval", *argv])
     if args.json != "-":
         print(table(results))
     if args.json:
@@ -130,4 +130,4 @@ def table(results: Sequence[Evaluation]) -> str:
 if __name__ == "__main__":
     from agents.arguments import guarded
 
-    sys.exit(guarded("aerograsp detector evaluate", main, sys.argv[1:]))
+    sys.exit(guarded("aerograsp detector eval", main, sys.argv[1:]))

@@ -100,7 +100,7 @@ def draw_boxes(
     rgb: NDArray[np.uint8], boxes: NDArray, names: Sequence[str], labels: Sequence[int] | NDArray
 ) -> NDArray[np.uint8]:
     """The picture at twice its size, with boxes [px of the picture] and names in the colours of their classes."""
-    drawn = cv2.resize(rgb, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
+    drawn: NDArray[Any] = cv2.resize(rgb, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC)
     for box, name, label in zip(boxes, names, labels, strict=True):
         color = COLORS[int(label) % len(COLORS)]
         x1, y1, x2, y2 = np.rint(2.0 * np.asarray(box)).astype(int).tolist()

@@ -106,12 +106,9 @@ def score(
         sum(int(c[s >= threshold].sum()) for s, c, _ in hits.values()),
     )
     objects = sum(row.objects for row in per_class.values())
-    overall = ClassScores(
-        *(float(np.mean([row[field] for row in per_class.values()])) for field in range(3)),
-        precision=right / kept_all if kept_all else 0.0,
-        operating_recall=right / objects,
-        objects=objects,
-    )
+    map50, map75, recall = (float(np.mean([row[field] for row in per_class.values()])) for field in range(3))
+    precision, operating_recall = (right / kept_all if kept_all else 0.0), right / objects
+    overall = ClassScores(map50, map75, recall, precision, operating_recall, objects)
     return DetectorScores(overall, per_class, float(threshold), len(truths))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from agents.detect_augment import Augmentation
 
 Rng = np.random.Generator
-Pixels = NDArray[np.uint8]
+Pixels = NDArray[Any]  # uint8; OpenCV does not say so
 
 
 def spoil(
@@ -38,7 +38,7 @@ def spoil(
     if rng.random() < settings.jpeg:
         quality = int(rng.integers(25, 90))
         _, code = cv2.imencode(".jpg", rgb, [cv2.IMWRITE_JPEG_QUALITY, quality])
-        rgb = cv2.imdecode(code, cv2.IMREAD_COLOR)
+        rgb = np.asarray(cv2.imdecode(code, cv2.IMREAD_COLOR))
     return rgb, inverse
 
 
@@ -54,15 +54,15 @@ def _background(
         low_x, low_y = max(int(x1 - margin[0]), 0), max(int(y1 - margin[1]), 0)
         keep[low_y : int(y2 + margin[3]) + 1, low_x : int(x2 + margin[2]) + 1] = 1.0
     soft = 2 * int(rng.integers(1, 6)) + 1
-    keep = cv2.blur(keep, (soft, soft))[..., None]
+    soft_keep: NDArray[Any] = cv2.blur(keep, (soft, soft))[..., None]
     even = rng.integers(0, 256, 3) if rng.random() < 0.5 else np.full(3, rng.integers(200, 256))
-    new = np.broadcast_to(even.astype(np.float32), rgb.shape)
+    new: NDArray[Any] = np.broadcast_to(even.astype(np.float32), rgb.shape)
     if rng.random() < 0.5:
         cells = int(rng.integers(2, 40))
         coarse = rng.uniform(0.0, 255.0, (cells, cells, 3)).astype(np.float32)
         new = cv2.resize(coarse, (size, size), interpolation=cv2.INTER_LINEAR)
-    mixed = new + keep * (rgb - new)
-    return mixed.astype(np.uint8), np.where(keep[..., 0] > 0.5, inverse, 0.0).astype(np.float32)
+    mixed = new + soft_keep * (rgb - new)
+    return mixed.astype(np.uint8), np.where(soft_keep[..., 0] > 0.5, inverse, 0.0).astype(np.float32)
 
 
 def _colors(rgb: Pixels, rng: Rng) -> Pixels:

@@ -43,7 +43,7 @@ class DenseHead(nn.Module):
         self.class_branch = nn.ModuleList(_branch(width, classes) for _ in STRIDES)
         self.box_branch = nn.ModuleList(_branch(width, 4 * BINS) for _ in STRIDES)
         for branch in self.class_branch:
-            nn.init.constant_(branch[-1].bias, math.log(prior / (1.0 - prior)))  # type: ignore[index, union-attr]
+            nn.init.constant_(branch[-1].bias, math.log(prior / (1.0 - prior)))  # type: ignore[index]
         self.register_buffer("steps", torch.arange(BINS).float(), persistent=False)
 
     def forward(self, levels: tuple[Tensor, Tensor, Tensor]) -> DenseOutput:
