@@ -256,6 +256,18 @@ def test_viewpoints_are_above_the_support_and_near() -> None:
     assert T[2, 1] < 0.0  # the picture's down points down
 
 
+def test_pipes_are_not_in_the_way_of_the_camera() -> None:
+    rng = np.random.default_rng(2)
+    scenes = [make_scene(SceneConfig(labels=("crawler", "box")), rng) for _ in range(12)]
+    piped = [scene for scene in scenes if any(ground.shape == "cylinder" for ground in scene.grounds)]
+    assert len(piped) > 3
+    for scene in piped:
+        pipe = next(ground for ground in scene.grounds if ground.shape == "cylinder")
+        for _ in range(10):
+            eye = draw_viewpoint(scene, rng).T_world_camera[:3, 3]
+            assert np.linalg.norm((eye - pipe.T_world_ground[:3, 3])[[0, 2]]) > pipe.size[0]
+
+
 def test_an_empty_scene_can_be_drawn() -> None:
     scene = make_scene(SceneConfig(objects=(0, 0), distractors=(0, 0)), np.random.default_rng(0))
     capture, scene_model = shoot(scene, look_at(np.array([0.0, -1.0, 1.5]), scene.center))

@@ -14,7 +14,7 @@ from aerograsp_env.sim.visual.placing import Placed
 from aerograsp_env.sim.visual.scenes import Ground, Light, Scene
 from aerograsp_env.sim.visual.textures import texture_image
 
-_GROUND_PIXELS, _PART_PIXELS = 256, 64  # of the textures
+_GROUND_PIXELS, _PART_PIXELS = 192, 64  # of the textures
 _FULL_LIGHT = 0.7 / 0.9  # of MuJoCo's diffuse, that lights a white surface fully in the ray renderer
 _FULL_AMBIENT = 0.1 / 0.23  # of MuJoCo's ambient, that does so from all sides
 _MESH, _PLANE = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_PLANE

@@ -36,15 +36,36 @@ def look_at(position: Array, target: Array, roll: float = 0.0) -> Array:
 
 
 def draw_viewpoint(scene: Scene, rng: np.random.Generator) -> Viewpoint:
-    """A viewpoint that suits the scene's style: 0.15–2 m away, never below the support.
+    """A viewpoint that suits the scene's style: 0.15–2 m away, above the support and outside of pipes.
 
-    Most have the middle of an object in the picture; one in ten or so may show none.
+    Most have the middle of an object in the picture and nothing of the room before it; a few show none.
     """
-    for _ in range(4):
-        viewpoint = _studio(scene, rng) if scene.config.style == "studio" else _aerial(scene, rng)
-        if any(_in_sight(viewpoint, placed.T_world_object[:3, 3]) for placed in scene.objects) or rng.random() < 0.1:
-            break
+    draw = _studio if scene.config.style == "studio" else _aerial
+    for _ in range(20):
+        viewpoint = draw(scene, rng)
+        if not _behind_pipe(scene, viewpoint.T_world_camera[:3, 3], viewpoint.T_world_camera[:3, 3]):
+            seen = any(_shows(viewpoint, scene, placed.T_world_object[:3, 3]) for placed in scene.objects)
+            if seen or rng.random() < 0.1:
+                break
     return viewpoint
+
+
+def _shows(viewpoint: Viewpoint, scene: Scene, point: Array) -> bool:
+    return _in_sight(viewpoint, point) and not _behind_pipe(scene, viewpoint.T_world_camera[:3, 3], point)
+
+
+def _behind_pipe(scene: Scene, eye: Array, point: Array) -> bool:
+    """Whether the way from the eye to a point, but for its end, enters a pipe (all lie along y);
+    with no way to go, whether the eye is within 5 cm of one."""
+    for ground in scene.grounds:
+        if ground.shape == "cylinder":
+            axis = ground.T_world_ground[[0, 2], 3]
+            start, along = eye[[0, 2]] - axis, 0.9 * (point - eye)[[0, 2]]
+            length = float(along @ along)
+            nearest = start + along * (np.clip(-(start @ along) / length, 0.0, 1.0) if length > 0.0 else 0.0)
+            if np.linalg.norm(nearest) < ground.size[0] + 0.05 * (length == 0.0):
+                return True
+    return False
 
 
 def _in_sight(viewpoint: Viewpoint, point: Array) -> bool:
