@@ -32,8 +32,8 @@ ENDINGS = {Phase.LIFT: LOST, Phase.CLOSE: EMPTY, Phase.APPROACH: BLOCKED, Phase.
 SETTINGS = PilotSettings(deeper=0.0, nearly=0.03)
 """Of flights that are aimed: the aim says how deep to go, and what the tools meet on the way there is closed upon."""
 
-FARTHEST = 0.030  # [m] of the estimate's error that is thought possible
 PARTICLES = 600
+QUANTILES = 9  # by which the error's length is known
 LATER = (0.5, 0.3)  # what an object that stays is worth, after as many attempts: it may be held by the next one
 DOUBT = 0.02  # probability of an outcome that the network does not know of
 FIELD = (np.arange(-0.048, 0.049, 0.012), np.arange(-0.048, 0.049, 0.008), np.arange(-0.040, 0.057, 0.008))
@@ -84,13 +84,20 @@ class Outcomes:
 
 
 class AimPlanner:
-    """Chooses among the plan's grasps and aims them: a planner of `Flight`. Remembers nothing."""
+    """Chooses among the plan's grasps and aims them: a planner of `Flight`. Remembers nothing.
 
-    def __init__(self, planner: GraspPlanner, outcomes: Outcomes) -> None:
+    Args:
+        planner: finds grasps.
+        outcomes: what comes of them.
+        lengths: (Q,) quantiles, evenly spaced from the least to the largest, of the length that the estimate's error
+            had where the outcomes were learned [m]; its direction may be any.
+    """
+
+    def __init__(self, planner: GraspPlanner, outcomes: Outcomes, lengths: Array) -> None:
         self.planner, self.outcomes = planner, outcomes
         rng = np.random.default_rng(0)
         direction = rng.standard_normal((PARTICLES, 3))
-        length = FARTHEST * rng.random((PARTICLES, 1))
+        length = np.interp(rng.random((PARTICLES, 1)), np.linspace(0.0, 1.0, len(lengths)), lengths)
         self.particles = length * direction / np.linalg.norm(direction, axis=1, keepdims=True)
         self.field, self.aims = mesh(FIELD), mesh(AIMS)
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from aerograsp_env.sim.arms.vehicles import BELEROFONTE_ARMS
-from agents.aim_choice import OUTCOMES, AimPlanner, Outcomes, aimed
+from agents.aim_choice import OUTCOMES, QUANTILES, AimPlanner, Outcomes, aimed
 from agents.aim_features import NAMES
 from agents.bench_setup import GRASP
 from agents.checkpoint import AIM_KIND, CheckpointError, load_checkpoint
@@ -33,13 +35,14 @@ def load_aim_policy(path: str | Path) -> GraspPolicy:
         if name not in tensors or tensors[name].shape != shape:
             raise CheckpointError(f"{path}: expected a tensor {name!r} of shape {shape}")
     planner = GraspPlanner(BELEROFONTE_ARMS.with_active(["right"]), "right")
-    return aimed(AimPlanner(planner, Outcomes(tensors)))
+    return aimed(AimPlanner(planner, Outcomes(tensors), tensors["error.lengths"].astype(np.float64)))
 
 
 def aim_shapes(members: int, hidden: list[int]) -> dict[str, tuple[int, ...]]:
     """Name and shape of every tensor."""
     widths = [len(NAMES), *hidden, len(OUTCOMES)]
     shapes: dict[str, tuple[int, ...]] = {"input.mean": (len(NAMES),), "input.scale": (len(NAMES),)}
+    shapes["error.lengths"] = (QUANTILES,)
     for k in range(len(hidden) + 1):
         shapes[f"layer.{k}.weight"] = (members, widths[k], widths[k + 1])
         shapes[f"layer.{k}.bias"] = (members, 1, widths[k + 1])

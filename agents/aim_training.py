@@ -2,9 +2,9 @@
 
     aerograsp train aerograsp/Grasp-v0 --algorithm aim --level combined --seed 0 --export aim.safetensors
 
-First flights are collected (`agents.aim_dataset`) into the out folder's `flights`, or into a folder that trainings
-share; blocks that are there already are not flown again, so that the same command goes on where it was interrupted.
-Fitting the network then takes seconds (`agents.networks.aim_fit`); `best.safetensors` holds the policy.
+First flights are collected (`agents.aim_dataset`) into the out folder's `flights`, or into another folder; blocks that
+are there already are not flown again, so that the same command goes on where it was interrupted. Fitting the network
+then takes seconds (`agents.networks.aim_fit`); `best.safetensors` holds the policy.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from agents.checkpoint import AIM_KIND, save_checkpoint
 from agents.files import to_json, writable_folder, write_json
 from agents.policies import UnknownName
 from agents.provenance import provenance
-from agents.seeds import TRAIN_SEED, VALIDATION_SEED
+from agents.seeds import TRAIN_SEED, TRAIN_SEEDS, VALIDATION_SEED
 
 BEST = "best.safetensors"
+SPAN = 800  # episodes that a training can have: those of the next seed come after
 SHARES = (0.125, 0.25, 0.5, 1.0)  # of the flights, for the learning curve
 
 
@@ -40,8 +41,8 @@ class AimConfig:
     """Options of the flights and of the fit. A value out of range is a ValueError."""
 
     level: str = "combined"
-    episodes: int = 900  # with training objects
-    validation_episodes: int = 100  # with validation objects
+    episodes: int = 280  # with training objects, at most SPAN
+    validation_episodes: int = 60  # with validation objects
     epochs: int = 40
     batch_size: int = 128
     learning_rate: float = 3e-3  # of AdamW, cosine to zero
@@ -49,13 +50,17 @@ class AimConfig:
     hidden: tuple[int, ...] = (32, 32)
     members: int = 4  # of the ensemble
     copies: int = 8  # of each attempt, with jitter
-    seed: int = 0  # of the network and of the order; the flights are the same for all
+    seed: int = 0  # of the flights, of the network and of the order; validation flights are the same for all
 
     def __post_init__(self) -> None:
         if self.level not in LEVELS:
             raise UnknownName("level", self.level, LEVELS)
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"hidden: expected positive widths, got {self.hidden}")
+        if isinstance(self.episodes, int) and self.episodes > SPAN:
+            raise ValueError(f"episodes: expected at most {SPAN}, got {self.episodes}")
+        if isinstance(self.seed, int) and self.seed >= len(TRAIN_SEEDS) // SPAN:
+            raise ValueError(f"seed: expected less than {len(TRAIN_SEEDS) // SPAN}, got {self.seed}")
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in ("level", "hidden"):
@@ -99,11 +104,12 @@ def train_aim(
     folder, began = writable_folder(out), time.perf_counter()
     origin = provenance(shlex.join(command or []))
     shelf = Path(flights) if flights is not None else folder / "flights"
-    data = collect(shelf, "train", config.level, TRAIN_SEED, config.episodes, progress)
+    first = TRAIN_SEED + SPAN * config.seed
+    data = collect(shelf, "train", config.level, first, config.episodes, progress)
     held_out = collect(shelf, "validation", config.level, VALIDATION_SEED, config.validation_episodes, progress)
     curve = []
     for share in SHARES:
-        some = data.take(data.episode < TRAIN_SEED + max(1, round(share * config.episodes)))
+        some = data.take(data.episode < first + max(1, round(share * config.episodes)))
         if len(some.outcome):
             tensors, epochs = fit(config, some, held_out, progress)
             best = min(epochs, key=lambda row: row["validation_loss"])

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from agents.aim_choice import OUTCOMES
+from agents.aim_choice import OUTCOMES, QUANTILES
 from agents.aim_dataset import Attempts
 from agents.aim_features import grasp_features
 from baselines.grasping.scenes import Scene
@@ -96,7 +96,9 @@ def fit(
     if progress:
         row = min(curve, key=lambda row: row["validation_loss"])
         print(f"epoch {row['epoch']}: validation loss {row['validation_loss']:.4f}", file=sys.stderr)
-    tensors = {"input.mean": mean, "input.scale": scale}
+    _, first = np.unique(data.episode, return_index=True)
+    lengths = np.quantile(np.linalg.norm(data.bias[first], axis=1), np.linspace(0.0, 1.0, QUANTILES))
+    tensors = {"input.mean": mean, "input.scale": scale, "error.lengths": lengths}
     for k in range(len(layers)):
         tensors |= {f"layer.{k}.weight": best[2 * k].numpy(), f"layer.{k}.bias": best[2 * k + 1].numpy()}
     return {name: np.asarray(value, dtype=np.float32) for name, value in tensors.items()}, curve
