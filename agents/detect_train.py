@@ -14,6 +14,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ class DetectTrainConfig:
     input: str = "rgbd"  # rgb, or rgbd with inverse depth as a fourth channel
     steps: int = 12000  # batches
     batch: int = 32  # pictures
+    workers: int = 1  # processes that share every batch
     sizes: str = "160:6,224:4"  # side [px] of the pictures and share of the steps, one phase after another
     learning_rate: float = 2e-3  # of AdamW, after a warm-up; cosine to a hundredth
     weight_decay: float = 0.02
@@ -57,6 +59,8 @@ class DetectTrainConfig:
             if not fits or not low <= value <= high:
                 raise ValueError(f"{field.name}: expected a number from {low:g} to {high:g}, got {value!r}")
         self.phases()
+        if self.batch % self.workers:
+            raise ValueError(f"workers: expected a divisor of the batch of {self.batch}, got {self.workers}")
 
     def phases(self) -> list[tuple[int, float]]:
         """(side of the pictures [px], share of the steps) of each phase; the shares add up to 1.
@@ -123,14 +127,38 @@ def train_detector(
         ValueError: a folder that holds another run, data sets of different classes, options that do not fit.
         OSError: a folder cannot be written or read.
     """
-    from agents.detect_dataset import DetectDataset
-    from agents.detect_frames import FrameCache
-    from agents.detect_train_loop import Training  # torch: not before it is needed
-    from agents.networks.detector import DetectorLayout
-
     folder = Path(out)
     if (folder / LATEST).exists() and not (resume or overwrite):
         raise ValueError(f"out: {folder} already holds a run; resume it, overwrite it, or name another folder")
+    from agents.detect_train_parallel import ALONE, others  # torch: not before it is needed
+
+    goes_on = resume and not overwrite and (folder / LATEST).exists()
+    source = folder / LATEST if goes_on else None if initial is None else Path(initial)
+    pictures, held_out = [Path(path) for path in datasets], Path(validation)
+    make = partial(make_training, config, pictures, held_out, folder, images, source, command or [])
+    training = make(ALONE)  # with its complaints, before there are other processes
+    writable_folder(folder)
+    with others(make, config.workers, folder) as shard:
+        training.shard = shard
+        return training.run(progress)
+
+
+def make_training(
+    config: DetectTrainConfig,
+    datasets: list[Path],
+    validation: Path,
+    folder: Path,
+    images: int | None,
+    source: Path | None,
+    command: list[str],
+    shard: Any,
+) -> Any:
+    """One process's `agents.detect_train_loop.Training`, from a run's state or weights if there is a `source`."""
+    from agents.detect_dataset import DetectDataset
+    from agents.detect_frames import FrameCache
+    from agents.detect_train_loop import Training
+    from agents.networks.detector import DetectorLayout
+
     pictures, held_out = [DetectDataset(path) for path in datasets], DetectDataset(validation)
     classes = tuple(held_out.classes)
     for path, dataset in zip(datasets, pictures, strict=True):
@@ -140,13 +168,12 @@ def train_detector(
                 f"got {', '.join(dataset.classes)}"
             )
     layout = DetectorLayout(classes, config.family, config.input)
-    writable_folder(folder)
-    training = Training(config, layout, FrameCache(pictures, images), held_out, folder, command or [])
-    if resume and not overwrite and (folder / LATEST).exists():
-        training.restore(folder / LATEST)
-    elif initial is not None:
-        training.begin_with(initial)
-    return training.run(progress)
+    training = Training(config, layout, FrameCache(pictures, images), held_out, folder, command, shard)
+    if source is not None and source == folder / LATEST:
+        training.restore(source)
+    elif source is not None:
+        training.begin_with(source)
+    return training
 
 
 def main(argv: list[str]) -> int:

@@ -27,6 +27,7 @@ from agents.detect_evaluate_scores import DetectorScores, Found, collect, score
 from agents.detect_input import network_input, suppress
 from agents.detect_loss import detection_loss
 from agents.detect_train import BEST, LATEST, DetectTrainConfig
+from agents.detect_train_parallel import ALONE, Shard, share_gradients
 from agents.networks.detector import INPUTS, DetectorLayout, Network, build
 from agents.provenance import provenance
 
@@ -46,6 +47,7 @@ class Training:
         held_out: validation samples, an `agents.detect_dataset.DetectDataset`.
         folder: of the run.
         command: what to record in the card.
+        shard: which part of every batch this process computes; the first one validates and saves.
     """
 
     def __init__(
@@ -56,16 +58,19 @@ class Training:
         held_out: Any,
         folder: Path,
         command: list[str],
+        shard: Shard = ALONE,
     ) -> None:
         cv2.setNumThreads(1)
         torch.set_num_threads(1)  # two threads on a busy machine are slower by an order of magnitude
         torch.manual_seed(config.seed)
         self.config, self.layout, self.frames, self.held_out, self.folder = config, layout, frames, held_out, folder
+        self.shard = shard
         self.network = build(layout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.optimizer = torch.optim.AdamW(_groups(self.network, config.weight_decay), lr=config.learning_rate)
         self.step, self.seconds, self.curve = 0, 0.0, []  # type: int, float, list[dict[str, float]]
         self.card: dict[str, Any] = {}
+        self.initial: dict[str, Any] | None = None  # what the weights that it began with were trained by
         self._order: tuple[int, NDArray[np.int64]] = (-1, np.zeros(0, dtype=np.int64))
         self._facts = provenance(" ".join(command))
 
@@ -75,11 +80,12 @@ class Training:
         Raises:
             CheckpointError: no detector's checkpoint, or another layout.
         """
-        layout, tensors, _ = load_detector(path)
+        layout, tensors, card = load_detector(path)
         if layout != self.layout:
             raise CheckpointError(f"{path}: expected the layout {asdict(self.layout)}, got {asdict(layout)}")
         for network in (self.network, self.average):
             network.load_state_dict(tensors)
+        self.initial = {name: card.get(name) for name in ("training", "pictures", "step", "provenance", "initial")}
 
     def run(self, progress: bool) -> dict[str, Any]:
         """Train to the last step; returns the best network's card.
@@ -97,6 +103,8 @@ class Training:
                 self.seconds += time.process_time() - began
                 bar.update()
                 bar.set_postfix_str(f"loss {loss:.3f}", refresh=False)
+                if self.shard.rank:
+                    continue
                 if self.step % self.config.validate_every == 0 or self.step == self.config.steps:
                     self._validated(loss, progress)
                     self.save()
@@ -109,7 +117,7 @@ class Training:
         """One step; returns its loss."""
         config, step = self.config, self.step
         images, targets = self.batch(step)
-        torch.manual_seed(int(np.random.default_rng([config.seed, 2, step]).integers(2**62)))
+        torch.manual_seed(int(np.random.default_rng([config.seed, 2, step, self.shard.rank]).integers(2**62)))
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * _rate(step, config.steps, config.warmup)
         self.network.train()
@@ -117,6 +125,7 @@ class Training:
             loss = detection_loss(self.network, images, targets)
         self.optimizer.zero_grad()
         loss.backward()
+        share_gradients(self.network.parameters(), self.shard)
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
         self.optimizer.step()
         self.step += 1
@@ -130,18 +139,17 @@ class Training:
         return value
 
     def batch(self, step: int) -> tuple[Tensor, Targets]:
-        """The pictures of a step and what is in them; they depend on the seed and the step alone."""
+        """This process's pictures of a step and what is in them; they depend on the seed and the step alone."""
         config, count = self.config, len(self.frames)
-        rng = np.random.default_rng([config.seed, 1, step])
+        rng = np.random.default_rng([config.seed, 1, step, self.shard.rank])
         size, settings = config.size(step), config.augmentation(step)
-        examples = [
-            example(self.frames, self._picture(step * config.batch + k, count), size, settings, rng)
-            for k in range(config.batch)
-        ]
+        mine = config.batch // self.shard.processes
+        first = step * config.batch + self.shard.rank * mine
+        examples = [example(self.frames, self._picture(first + k, count), size, settings, rng) for k in range(mine)]
         channels = INPUTS[self.layout.input]
         pixels = np.stack([picture.image[..., :channels] for picture in examples])
         most = max(1, *(len(picture.labels) for picture in examples))
-        boxes, labels = np.zeros((config.batch, most, 4), dtype=np.float32), np.full((config.batch, most), PADDING)
+        boxes, labels = np.zeros((mine, most, 4), dtype=np.float32), np.full((mine, most), PADDING)
         for row, picture in enumerate(examples):
             boxes[row, : len(picture.labels)] = picture.boxes
             labels[row, : len(picture.labels)] = picture.labels
@@ -182,6 +190,7 @@ class Training:
             "step": self.step,
             "curve": self.curve,
             "provenance": self._facts,
+            "initial": self.initial,
         }
 
     def save(self) -> None:
@@ -217,6 +226,7 @@ class Training:
             state.setdefault(int(index), {})[key] = value
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
         self.step, self.curve, self.seconds = int(card["step"]), card["curve"], float(card["cpu_seconds"])
+        self.initial = card.get("initial")
         self.card = {**card["best"], "curve": self.curve} if card["best"] else {}
 
 

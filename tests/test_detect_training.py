@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
+import torch
 from detect_shapes import CLASSES, write_shapes
 
 from aerograsp_env.interfaces import RGBD, Detector, Intrinsics
@@ -21,6 +23,7 @@ from agents.detect_frames import FrameCache
 from agents.detect_onnx import DetectorFileError, OnnxDetector
 from agents.detect_train import BEST, LATEST, DetectTrainConfig, main, train_detector
 from agents.detect_train_loop import Training
+from agents.detect_train_parallel import Shard, share_gradients
 from agents.networks.detector import DetectorLayout
 
 QUICK = DetectTrainConfig(steps=6, batch=4, sizes="64:1", warmup=2, validate_every=3, validation_images=4, seed=3)
@@ -58,6 +61,22 @@ def test_an_interrupted_training_ends_with_the_same_bits(
     assert whole.card["step"] == parts.card["step"] == 6
     for name, array in whole.tensors.items():
         np.testing.assert_array_equal(array, parts.tensors[name], err_msg=name)
+
+
+def test_gradients_are_the_mean_over_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = torch.nn.Parameter(torch.zeros(2, 3)), torch.nn.Parameter(torch.zeros(4))
+    first.grad, second.grad = torch.full((2, 3), 3.0), torch.arange(4.0)
+    others = torch.cat([torch.full((6,), 1.0), torch.zeros(4)])
+    monkeypatch.setattr(torch.distributed, "all_reduce", lambda flat: flat.add_(others))
+    share_gradients([first, second], Shard(0, 2))
+    assert first.grad.tolist() == [[2.0] * 3] * 2 and second.grad.tolist() == [0.0, 0.5, 1.0, 1.5]
+
+
+def test_processes_share_a_batch_and_end_together(data: tuple[Path, Path], tmp_path: Path) -> None:
+    config = DetectTrainConfig(**{**QUICK.__dict__, "steps": 2, "workers": 2})
+    train_detector(config, [data[0]], data[1], tmp_path)
+    assert load_checkpoint(tmp_path / LATEST).card["step"] == 2
+    assert not multiprocessing.active_children() and not list(tmp_path.glob(".workers-*"))
 
 
 def test_a_run_says_what_it_did(trained: Path) -> None:
@@ -150,6 +169,7 @@ def test_training_refuses_what_does_not_fit(data: tuple[Path, Path], trained: Pa
         ("--steps", "0", "steps: expected a number from 1"),
         ("--sizes", "100:1", "sizes: expected SIDE:SHARE"),
         ("--sizes", "160", "sizes: expected SIDE:SHARE"),
+        ("--workers", "5", "workers: expected a divisor of the batch of 32"),
         ("--depth-dropout", "1.5", "depth_dropout: expected a number from 0 to 1"),
     ],
 )
