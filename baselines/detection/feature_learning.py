@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.interfaces import RGBD, Intrinsics
 from aerograsp_env.metrics import umeyama
-from aerograsp_env.spatial import as_array, check_transform, inverse, project_to_so3, transform, transform_points
+from aerograsp_env.spatial import check_transform, inverse, project_to_so3, transform, transform_points
 from baselines.detection.bundle import bundle_adjust
 from baselines.detection.extraction import feature_kind
 from baselines.detection.feature_model import FeatureModel
@@ -50,6 +50,17 @@ class _Chain(NamedTuple):
     matches: list[Ints]  # (M, 2) rows of features of consecutive frames used
     T_c_o: list[Array]  # from the first used camera's frame
     skipped: list[tuple[int, str]]
+
+
+class _Reconstruction(NamedTuple):
+    """Poses, points, and which of them are seen where."""
+
+    T_c_o: Array  # (K, 4, 4)
+    points: Array  # (N, 3)
+    point: Ints  # (M,) of each observation
+    frame: Ints  # (M,)
+    row: Ints  # (M,) of the frame's features
+    errors: Array  # (M,) [px]
 
 
 def learn_from_stereo(
@@ -155,38 +166,20 @@ def learn_feature_model(
     matches = propagate(chain.matches)
     _join_beyond(matches, used, intrinsics, ratio)
     seen = observations(matches, [len(f.pixels) for f in used], min_views)
-    point, frame, row = seen.point, seen.frame, seen.feature
-    T = np.array(chain.T_c_o)
-    pixels = np.array([used[f].pixels[r] for f, r in zip(frame, row, strict=True)]).reshape(-1, 2)
-    stereo = np.array([used[f].points_c[r] for f, r in zip(frame, row, strict=True)]).reshape(-1, 3)
     if seen.points < MIN_PAIRS:
         raise LearningError(f"frames: expected {MIN_PAIRS} points or more in {min_views} views, got {seen.points}")
-    lifted = transform_points(inverse(T)[frame], stereo[:, None])[:, 0]
-    points = np.array([np.median(lifted[point == k], axis=0) for k in range(seen.points)])
-    for _ in range(ROUNDS):
-        try:
-            result = bundle_adjust(T, points, pixels, frame, point, intrinsics)
-        except ValueError as fault:
-            raise LearningError(f"frames: too little is seen in common: {fault}") from None
-        T, points = result.T_c_o, result.points
-        good = result.errors <= max_error
-        good &= np.bincount(point[good], minlength=len(points))[point] >= min_views
-        names, place = np.unique(point[good], return_inverse=True)
-        point, frame, row, points = place, frame[good], row[good], points[names]
-        pixels, stereo, errors = pixels[good], stereo[good], result.errors[good]
-        if good.all():
-            break
-        if len(points) < MIN_PAIRS:
-            raise LearningError(f"frames: expected {MIN_PAIRS} points or more that agree, got {len(points)}")
-    scale, spread, metric = _scale(points, T, stereo, frame, point)
-    points = scale * points
-    T = transform(T[:, :3, :3], scale * T[:, :3, 3])
+    T = np.array(chain.T_c_o)
+    stereo = np.array([used[f].points_c[r] for f, r in zip(seen.frame, seen.feature, strict=True)])
+    lifted = transform_points(inverse(T)[seen.frame], stereo[:, None])[:, 0]
+    points = np.array([np.median(lifted[seen.point == k], axis=0) for k in range(seen.points)])
+    state = _Reconstruction(T, points, seen.point, seen.frame, seen.feature, np.zeros(len(stereo)))
+    state = _adjust(state, used, intrinsics, min_views, max_error)
+    scale, spread, metric = _scale(state, used)
+    state = state._replace(T_c_o=transform(state.T_c_o[:, :3, :3], scale * state.T_c_o[:, :3, 3]))
+    state = state._replace(points=scale * state.points)
     if rig is not None and rig.left[:6] == rig.right[:6] and all(f.pixels_right is not None for f in used):
-        right = np.array([used[f].pixels_right[r] for f, r in zip(frame, row, strict=True)])
-        joint = bundle_adjust(
-            T, points, pixels, frame, point, intrinsics, pixels_right=right, T_right_left=rig.T_right_left
-        )  # fmt: skip
-        T, points, errors = joint.T_c_o, joint.points, joint.errors
+        state = _adjust(state, used, intrinsics, min_views, max_error, rig)
+    T, points, point, frame, row, errors = state
     T_first_object = transform(np.eye(3), np.median(points, axis=0))
     if T_given is not None:
         known = [(k, i) for k, i in enumerate(chain.frames) if i < len(T_given)]
@@ -251,14 +244,46 @@ def _join_beyond(
             matches[i, j] = np.concatenate([known, rows[new]])
 
 
-def _scale(points: Array, T_c_o: Array, stereo: Array, frame: Ints, point: Ints) -> tuple[float, float, float]:
+def _adjust(
+    state: _Reconstruction,
+    frames: Sequence[FrameFeatures],
+    intrinsics: Intrinsics,
+    min_views: int,
+    max_error: float,
+    rig: StereoRig | None = None,
+) -> _Reconstruction:
+    """Bundle adjustments, each without the observations that the last one found wrong."""
+    T, points, point, frame, row, errors = state
+    for _ in range(ROUNDS):
+        seen = [(frames[f], r) for f, r in zip(frame, row, strict=True)]
+        right = None if rig is None else np.array([f.pixels_right[r] for f, r in seen if f.pixels_right is not None])
+        try:
+            result = bundle_adjust(
+                T, points, np.array([f.pixels[r] for f, r in seen]), frame, point, intrinsics,
+                pixels_right=right, T_right_left=None if rig is None else rig.T_right_left,
+            )  # fmt: skip
+        except ValueError as fault:
+            raise LearningError(f"frames: too little is seen in common: {fault}") from None
+        T, points = result.T_c_o, result.points
+        good = result.errors <= max_error
+        good &= np.bincount(point[good], minlength=len(points))[point] >= min_views
+        names, point = np.unique(point[good], return_inverse=True)
+        frame, row, points, errors = frame[good], row[good], points[names], result.errors[good]
+        if len(points) < MIN_PAIRS:
+            raise LearningError(f"frames: expected {MIN_PAIRS} points or more that agree, got {len(points)}")
+        if good.all():
+            break
+    return _Reconstruction(T, points, point, frame, row, errors)
+
+
+def _scale(state: _Reconstruction, frames: Sequence[FrameFeatures]) -> tuple[float, float, float]:
     """Median over the frames of the scale from the points to the frame's own, its spread, and the error left [m]."""
     scales, squares, count = [], 0.0, 0
-    for k in range(len(T_c_o)):
-        rows = np.nonzero(frame == k)[0]
+    for k, (T, seen) in enumerate(zip(state.T_c_o, frames, strict=True)):
+        rows = np.nonzero(state.frame == k)[0]
         if len(rows) < MIN_PAIRS:
             continue
-        source, target = transform_points(T_c_o[k], points[point[rows]]), as_array(stereo[rows], (3,), "stereo")
+        source, target = transform_points(T, state.points[state.point[rows]]), seen.points_c[state.row[rows]]
         fit = umeyama(source, target, with_scale=True)
         gap = np.linalg.norm(transform_points(fit.T_target_source, fit.scale * source) - target, axis=1)
         near = gap <= 3.0 * np.median(gap) + 1e-12  # stereo's few gross errors would turn the whole fit
@@ -267,7 +292,7 @@ def _scale(points: Array, T_c_o: Array, stereo: Array, frame: Ints, point: Ints)
         scales.append(fit.scale)
         squares, count = squares + float((gap**2).sum()), count + len(gap)
     if not scales or min(scales) <= 0.0:
-        raise LearningError("frames: expected points with depth in one frame at least, to find the scale")
+        raise LearningError(f"frames: expected one with {MIN_PAIRS} points or more, to find the scale")
     scale = float(np.median(scales))
     return scale, float(np.std(scales) / scale), float(np.sqrt(squares / count))
 

@@ -16,6 +16,7 @@ from aerograsp_env.interfaces import RGBD, Detection, Intrinsics
 from aerograsp_env.spatial import as_array, check_transform, transform_points
 from baselines.detection.extraction import FeatureKind, check_image, extract, feature_kind
 from baselines.detection.pnp import PnPResult, pinhole, solve_pnp, undistorted
+from baselines.detection.projection import project
 from baselines.detection.stereo_features import check_size
 
 Array = NDArray[np.float64]
@@ -170,10 +171,11 @@ class FeatureModel:
             lengths = (given**2).sum(axis=1)[:, None] + (self.descriptors**2).sum(axis=1)
             distances = np.sqrt(np.maximum(lengths - 2.0 * given @ self.descriptors.T, 0.0))
         else:
-            found, _ = cv2.batchDistance(
-                np.ascontiguousarray(given), self.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING
-            )
-            distances = np.asarray(found, dtype=np.float32)
+            ours, theirs = (np.ascontiguousarray(x).view(np.uint64) for x in (self.descriptors, given))
+            counts = np.zeros((len(given), len(ours)), dtype=np.uint16)
+            for k in range(ours.shape[1]):
+                counts += np.bitwise_count(theirs[:, k, None] ^ ours[:, k])
+            distances = counts.astype(np.float32)
         names, starts = np.unique(self.owners, return_index=True)
         nearest[:, names] = np.minimum.reduceat(distances, starts, axis=1)
         return nearest
@@ -255,21 +257,13 @@ class FeatureModel:
 
     def box(self, T_c_object: ArrayLike, intrinsics: Intrinsics) -> Array | None:
         """(4,) xyxy [px] of all points' pixels within the image; None where the object is not in view."""
-        points_c = transform_points(check_transform(T_c_object, "T_c_object"), self.points)
-        points_c = points_c[points_c[:, 2] > 1e-6]
-        if not len(points_c):
+        pixels = project(self.points, intrinsics, check_transform(T_c_object, "T_c_object"))
+        pixels = pixels[np.isfinite(pixels).all(axis=1)]
+        if not len(pixels):
             return None
-        pixels = project(points_c, intrinsics)
         limit = np.array([intrinsics.width - 1.0, intrinsics.height - 1.0])
         low, high = np.clip(pixels.min(axis=0), 0.0, limit), np.clip(pixels.max(axis=0), 0.0, limit)
         return np.concatenate([low, high]) if (low < high).all() else None
-
-
-def project(points_c: Array, intrinsics: Intrinsics) -> Array:
-    """(N, 2) pixels of points in the camera's frame, lens distortion included."""
-    distortion = np.zeros(5) if intrinsics.distortion is None else intrinsics.distortion
-    pixels, _ = cv2.projectPoints(points_c, np.zeros(3), np.zeros(3), intrinsics.matrix, distortion)
-    return pixels.reshape(-1, 2).astype(np.float64)
 
 
 class FeatureDetector:
