@@ -68,8 +68,9 @@ def others(make: Callable[[Shard], Any], count: int, folder: Path) -> Iterator[S
         try:
             for process in processes:
                 process.start()
-            distributed.init_process_group("gloo", init_method=place, rank=0, world_size=count, timeout=PATIENCE)
-            yield Shard(0, count)
+            shard = Shard(0, count)
+            _meet(shard, place)
+            yield shard
         finally:
             if before is None:
                 del os.environ["OMP_NUM_THREADS"]
