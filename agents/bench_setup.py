@@ -10,6 +10,7 @@ from agents.table import Published, Row
 
 DOCK, GRASP_PLAN = "aerograsp/Dock-v0", "aerograsp/GraspPlan-v0"
 REACH, GRASP = "aerograsp/Reach-v0", "aerograsp/Grasp-v0"
+DETECT = "aerograsp/Detect-v0"
 GRASP_DUAL, DOCK_MANIPULATE = "aerograsp/GraspDual-v0", "aerograsp/DockManipulate-v0"
 
 
@@ -152,6 +153,14 @@ SETUPS: dict[str, Setup] = {
         quick_rows=("zero", "dock-dls", "dock-dls-pid", "ppo-residual"),
         film_episodes=0,
         study="agents.manipulation_report:docked_study",
+    ),
+    DETECT: Setup(
+        episodes=25,
+        learned=(),
+        conditions={level: {"level": level} for level in ("easy", "cluttered", "dark", "blurred")},
+        quick_options={"max_episode_steps": 10},
+        quick_episodes=5,
+        quick_rows=(*TRIVIAL, "clusters+icp", "cnn+icp"),
     ),
 }
 

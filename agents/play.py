@@ -5,6 +5,7 @@ aerograsp play aerograsp/Dock-v0 --policy pid-tuned --out dock.mp4
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import sys
 from collections.abc import Iterator, Mapping
@@ -14,6 +15,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_seed, guarded, positive_int
@@ -79,6 +81,8 @@ def play(
     actor = load_policy(env_id, name, {k: v for k, v in kwargs.items() if k not in _picture_options(kwargs)})
     with option_errors(spec):
         env = gymnasium.make(env_id, render_mode="rgb_array", disable_env_checker=True, **kwargs)
+    if callable(watch := getattr(actor, "watch", None)):
+        watch([env.unwrapped])  # an oracle
     endings: list[Ending] = []
     try:
         shots = _Shots(env, actor, name, seconds, fps, str(kwargs.get("camera", "side")), overlay, progress)
@@ -106,6 +110,13 @@ def draws_pictures(env_id: str, env_kwargs: Mapping[str, Any]) -> bool:
 
 def _picture_options(kwargs: Mapping[str, Any]) -> set[str]:
     return {"width", "height", "camera", "render_backend", "render_samples"} & set(kwargs)
+
+
+def _takes(env_id: str, option: str) -> bool:
+    """Whether the environment has an option of this name for its pictures."""
+    creator = env_spec(env_id).entry_point
+    creator = load_env_creator(creator) if isinstance(creator, str) else creator
+    return creator is not None and option in inspect.signature(creator).parameters
 
 
 def _check(out: str | Path | None, picture: str | Path | None, seconds: float, fps: float) -> None:
@@ -160,9 +171,11 @@ class _Shots:
         state, start, outcome, shown, step = None, np.array([True]), _RUN_OUT, 0, 0
         with tqdm(total=self.steps, desc=self.name, leave=False, disable=None if self.progress else True) as bar:
             while outcome == _RUN_OUT and step < self.steps:
-                if film and step * self.dt >= shown / self.fps - 1e-9:
-                    shown += 1
-                    yield self._frame(step, observation)
+                due = int((step * self.dt + 1e-9) * self.fps) + 1 if film else 0  # frames of the film so far
+                if due > shown:
+                    frame = self._frame(step, observation)
+                    yield from itertools.repeat(frame, due - shown)  # a film may be faster than the task
+                    shown = due
                 batch = {key: np.asarray(value)[None] for key, value in observation.items()}
                 action, state = self.policy.predict(batch, state=state, episode_start=start, deterministic=True)
                 observation, _, terminated, truncated, info = self.env.step(action[0])
@@ -243,7 +256,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--seconds", metavar="S", type=float, default=10.0, help="of every episode that are filmed")
     add_seed(parser, TEST_SEED)
     add_env_kwargs(parser)
-    parser.add_argument("--camera", metavar="NAME", default="side", help="side, front, tool (docking) or close (arms)")
+    parser.add_argument("--camera", metavar="NAME", default=None, help="side, front, tool (docking) or close (arms)")
     parser.add_argument("--width", metavar="PX", type=positive_int, default=None, help="480; 960 without --out")
     parser.add_argument("--height", metavar="PX", type=positive_int, default=None, help="360; 720 without --out")
     parser.add_argument("--fps", metavar="F", type=float, default=20.0, help="frames per second")
@@ -253,12 +266,10 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--no-overlay", action="store_true", help="frames without time, policy, error and wind")
     args = parser.parse_args(argv)
     width, height, samples = (960, 720, 3) if args.out is None else (480, 360, 1)
-    look = {
-        "camera": args.camera,
-        "width": args.width or width,
-        "height": args.height or height,
-        "render_samples": args.samples or samples,
-    }
+    look = {"width": args.width or width, "height": args.height or height}
+    for option, given, usual in (("camera", args.camera, "side"), ("render_samples", args.samples, samples)):
+        if given is not None or _takes(args.id, option):
+            look[option] = given or usual
     endings = play(
         args.id,
         args.policy,

@@ -19,16 +19,15 @@ from aerograsp_env.envs.detect_action import detections_to_action, observed_fram
 from aerograsp_env.interfaces import RGBD, Detection
 from aerograsp_env.spatial import Array, inverse
 from baselines.policies.detect_descriptors import Description, describe
-from baselines.policies.detect_pose import fit_pose, model_of
+from baselines.policies.detect_pose import fit_pose
 from baselines.policies.detect_proposals import Proposal, find_proposals
 from baselines.policies.detect_recognition import NAMES, NOTHING, Forest, shipped
-from baselines.policies.detect_tracks import Odometry, Track, associate, blend
+from baselines.policies.detect_tracks import Odometry, Track, associate, tracker_of
 
 Observation = Mapping[str, NDArray[Any]]
 
 GATE = 0.08  # [m] that a thing's middle may move between frames
 FORGET = 0.85  # weight of the evidence so far in each new frame
-LEAST_GAIN = 0.15  # of a new pose in the smoothed one
 MISSED = 6  # frames after which a track is dropped
 LEAST_SCORE = 0.35  # of what is reported
 
@@ -70,11 +69,11 @@ class ClusterPolicy:
         odometry, T_start_camera = odometry.advance(observation, before is None)
         tracks = () if before is None else before.tracks
         frame = seen_frame(observation)
-        detections, tracks = self._look(frame, T_start_camera, tracks)
+        detections, tracks = self._look(frame, T_start_camera, tracks, odometry.stamp)
         return detections_to_action(detections, frame.intrinsics), RowState(odometry, tracks)
 
     def _look(
-        self, frame: RGBD, T_start_camera: Array, tracks: tuple[Track, ...]
+        self, frame: RGBD, T_start_camera: Array, tracks: tuple[Track, ...], stamp: float
     ) -> tuple[list[Detection], tuple[Track, ...]]:
         camera = frame.intrinsics
         proposals = find_proposals(frame, T_start_camera[2, :3], np.random.default_rng(0))
@@ -89,7 +88,7 @@ class ClusterPolicy:
         ]
         for proposal, item, place, owner in zip(proposals, described, places, owners, strict=True):
             track = self._follow(None if owner < 0 else tracks[owner], item, place)
-            track, detection = self._report(track, proposal, item, T_start_camera)
+            track, detection = self._report(track, proposal, item, T_start_camera, stamp)
             kept.append(track)
             if detection is not None:
                 found.append(detection)
@@ -105,7 +104,7 @@ class ClusterPolicy:
         )
 
     def _report(
-        self, track: Track, proposal: Proposal, item: Description, T_start_camera: Array
+        self, track: Track, proposal: Proposal, item: Description, T_start_camera: Array, stamp: float
     ) -> tuple[Track, Detection | None]:
         p = np.exp(track.evidence - track.evidence.max())
         p /= p.sum()
@@ -114,11 +113,9 @@ class ClusterPolicy:
         if score < LEAST_SCORE:
             return track, None
         T_seen = T_start_camera @ fit_pose(label, proposal, item).T_c_object
-        if track.label == label and track.T_start_object is not None:
-            gain = max(1.0 / track.frames, LEAST_GAIN)
-            T_seen = blend(track.T_start_object, T_seen, model_of(label).symmetries, gain)
-        track = track._replace(label=label, T_start_object=T_seen)
-        return track, Detection(label, score, proposal.box, inverse(T_start_camera) @ T_seen)
+        pose = tracker_of(label).update(track.pose if track.label == label else None, T_seen, stamp)
+        track = track._replace(label=label, pose=pose)
+        return track, Detection(label, score, proposal.box, inverse(T_start_camera) @ pose.T)
 
 
 def _rows(observation: Observation) -> list[Observation]:

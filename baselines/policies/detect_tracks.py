@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -9,9 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.envs.detect_motion import camera_mount
-from aerograsp_env.spatial import Array, matrix_from_rpy, so3_exp, so3_log, transform
+from aerograsp_env.sim.visual.objects import nominal_object
+from aerograsp_env.spatial import Array, matrix_from_rpy, transform
+from baselines.detection import PoseTrack, PoseTracker
 
 FRAME = 0.1  # [s] between observations
+
+JERK, ANGULAR_JERK = 0.05, 0.2  # of things at rest, seen from where the vehicle believes to be [m/s³/√Hz], [rad/s³/√Hz]
+POSITION_NOISE, ROTATION_NOISE = 0.012, 0.25  # of one frame's pose [m], [rad]
+
+
+@functools.cache
+def tracker_of(label: str) -> PoseTracker:
+    """The filter of a class's poses: constant acceleration, symmetric poses brought next to the prediction."""
+    return PoseTracker(
+        nominal_object(label).symmetries, jerk=JERK, angular_jerk=ANGULAR_JERK, position_noise=POSITION_NOISE,
+        rotation_noise=ROTATION_NOISE,
+    )  # fmt: skip
 
 
 class Odometry(NamedTuple):
@@ -19,6 +34,7 @@ class Odometry(NamedTuple):
 
     position: Array  # (3,) [m]
     velocity: Array  # (3,) at the last frame [m/s]
+    stamp: float = 0.0  # of the last frame [s]
 
     @classmethod
     def begin(cls) -> Odometry:
@@ -30,8 +46,9 @@ class Odometry(NamedTuple):
         R = matrix_from_rpy(np.asarray(observation["attitude"], dtype=np.float64))
         velocity = R @ np.asarray(observation["velocity"], dtype=np.float64)
         position = self.position if first else self.position + 0.5 * FRAME * (self.velocity + velocity)
+        stamp = 0.0 if first else self.stamp + FRAME
         mount = camera_mount(float(observation["camera_tilt"][0]))
-        return Odometry(position, velocity), transform(R, position) @ mount
+        return Odometry(position, velocity, stamp), transform(R, position) @ mount
 
 
 class Track(NamedTuple):
@@ -41,8 +58,8 @@ class Track(NamedTuple):
     evidence: Array  # (C,) sum over frames of log class probabilities
     frames: int  # in which it was seen
     missed: int  # frames since
-    label: str = ""  # class of `T_start_object`
-    T_start_object: Array | None = None  # (4, 4) smoothed
+    label: str = ""  # class of `pose`
+    pose: PoseTrack | None = None  # T_start_object
 
 
 def associate(tracks: tuple[Track, ...], places: Array, gate: float) -> list[int]:
@@ -58,14 +75,3 @@ def associate(tracks: tuple[Track, ...], places: Array, gate: float) -> list[int
         found[int(i)] = int(j)
         gaps[i, :] = gaps[:, j] = np.inf
     return found
-
-
-def blend(T_before: Array, T_seen: Array, symmetries: Array, gain: float) -> Array:
-    """Between two poses (4, 4) of an object at rest: `gain` of the way to what is seen, of all that look like it
-    (symmetries (K, 3, 3)) the one turned least from before."""
-    alike = T_seen[:3, :3] @ symmetries
-    traces = np.einsum("kij,ij->k", alike, T_before[:3, :3])
-    R = alike[int(traces.argmax())]
-    turn = gain * so3_log(T_before[:3, :3].T @ R)
-    place = (1.0 - gain) * T_before[:3, 3] + gain * T_seen[:3, 3]
-    return transform(T_before[:3, :3] @ so3_exp(turn), place)
