@@ -8,7 +8,7 @@ import numpy as np
 import small_gicp
 from numpy.typing import ArrayLike, NDArray
 
-from aerograsp_env.spatial import check_transform
+from aerograsp_env.spatial import check_transform, inverse
 from baselines.detection.checks import check_points, check_positive
 from baselines.detection.color_registration import ColoredCloud, iterate_with_colors
 from baselines.detection.spacing import cloud_size, point_spacing
@@ -21,6 +21,8 @@ LEAST = 10
 """Fewest points (and fewest pairs) that a registration is made from."""
 NEIGHBORS = 10
 """Points that make a normal or a covariance."""
+FIRM = 5e-3
+"""Below this the target lets the source slide or turn: a plane, a sphere or a cylinder on its like has no one pose."""
 KINDS = {"icp": "PLANE_ICP", "gicp": "GICP"}
 
 
@@ -28,7 +30,7 @@ class RegistrationResult(NamedTuple):
     """What a registration found, and how far to trust it."""
 
     T_target_source: Array  # (4, 4) maps source to target coordinates; NaN where not `converged`
-    converged: bool  # the iteration came to rest, and enough of the source lies on the target
+    converged: bool  # the iteration came to rest, on enough of the target, which holds it
     rmse: float  # [m] of the inliers' distances to the nearest target point; NaN without inliers
     inlier_fraction: float  # of the source's points that have a target point within the gate
     iterations: int
@@ -54,8 +56,9 @@ def default_scales(source: Array, target: Array) -> Scales:
             raise ValueError(f"{name}: expected points that differ, got all at one place")
     size = min(sizes.values())
     spacing = max(point_spacing(source), point_spacing(target))
-    resolution = max(spacing, 0.01 * size)
-    return Scales(resolution, max(0.15 * size, 3.0 * resolution), 3.0 * resolution)
+    resolution = 0.01 * size
+    gate = 3.0 * max(spacing, resolution)
+    return Scales(resolution, max(0.15 * size, gate), gate)
 
 
 def failed(rmse: float = np.nan, inlier_fraction: float = 0.0, iterations: int = 0) -> RegistrationResult:
@@ -92,7 +95,8 @@ def register(
         max_iterations: of each of the two stages.
 
     Returns:
-        The pose and its quality. Where it failed, `converged` is false and the pose is NaN.
+        The pose and its quality. Where it failed, `converged` is false and the pose is NaN; so it is where shapes alone
+        leave the pose open, as those of a plane, a sphere or a cylinder do.
 
     Raises:
         ValueError: clouds of fewer than ten points or with values that are not finite, a start that is not rigid, or
@@ -135,34 +139,58 @@ def _register_shapes(
         return failed()
     target, tree = _prepared(near, scales.resolution)
     source, _ = _prepared(moving, scales.resolution)
-    coarse = _thinned(moving, max(3.0 * scales.resolution, scales.reach / 5.0))
+    coarse = _coarser(source, max(3.0 * scales.resolution, scales.reach / 5.0))
     size = cloud_size(moving)
     T, iterations = start, 0
-    stages = [(source, scales.gate)]
+    # The generalised steps need not come to rest as nearly: their pairs switch within the surfaces' covariances.
+    stages = [(source, KINDS[method], scales.gate, (1e-2 if method == "gicp" else 2e-3) * scales.resolution)]
     if scales.reach > scales.gate:
-        stages.insert(0, (coarse, scales.reach))
-    for cloud, distance in stages:
-        step = 1e-3 * scales.resolution
-        found = small_gicp.align(
-            target,
-            cloud,
-            tree,
-            T,
-            registration_type=KINDS[method],
-            max_correspondence_distance=distance,
-            max_iterations=max_iterations,
-            rotation_epsilon=step / size,
-            translation_epsilon=step,
-        )
+        stages.insert(0, (coarse, KINDS["icp"], scales.reach, 5e-2 * scales.resolution))
+    for cloud, kind, distance, step in stages:
+        found = _align(target, cloud, tree, T, kind, distance, max_iterations, step, size)
         iterations += int(found.iterations)
         # small_gicp reports success where it found no pair at all, with the pose that it was given.
         if found.num_inliers < LEAST or not np.isfinite(found.T_target_source).all():
             return failed(iterations=iterations)
         T = np.array(found.T_target_source)
-    rmse, fraction = _fit(T, source, tree, scales.gate)
-    if not found.converged or fraction < least_fraction:
+    rested = bool(found.converged)
+    if not rested:  # pairs may switch to and fro for ever: what hardly moves any more is at rest all the same
+        found = _align(target, source, tree, T, KINDS[method], scales.gate, 5, step, size)
+        moved = inverse(T) @ np.array(found.T_target_source)
+        rested = _displacement(moved, np.asarray(source.points())[:, :3]) < 0.1 * scales.resolution
+    rmse, fraction, firmness = _fit(T, source, tree, scales.gate, np.asarray(target.normals())[:, :3])
+    if not rested or fraction < least_fraction or firmness < FIRM:
         return failed(rmse, fraction, iterations)
     return RegistrationResult(T, True, rmse, fraction, iterations)
+
+
+def _align(
+    target: small_gicp.PointCloud,
+    source: small_gicp.PointCloud,
+    tree: small_gicp.KdTree,
+    T: Array,
+    kind: str,
+    distance: float,
+    max_iterations: int,
+    step: float,
+    size: float,
+) -> small_gicp.RegistrationResult:
+    return small_gicp.align(
+        target,
+        source,
+        tree,
+        T,
+        registration_type=kind,
+        max_correspondence_distance=distance,
+        max_iterations=max_iterations,
+        rotation_epsilon=step / size,
+        translation_epsilon=step,
+    )
+
+
+def _displacement(T: Array, points: Array) -> float:
+    """Root mean square [m] of how far a motion takes the points."""
+    return float(np.sqrt((((points @ (T[:3, :3] - np.eye(3)).T) + T[:3, 3]) ** 2).sum(axis=1).mean()))
 
 
 def _register_colors(
@@ -188,7 +216,7 @@ def _register_colors(
     if min(len(one.points), len(other.points)) < LEAST:
         return failed()
     T, rested, iterations = iterate_with_colors(one, other, start, scales.reach, scales.gate, max_iterations, LEAST)
-    rmse, fraction = _fit(T, small_gicp.PointCloud(one.points), small_gicp.KdTree(other.points), scales.gate)
+    rmse, fraction, _ = _fit(T, small_gicp.PointCloud(one.points), small_gicp.KdTree(other.points), scales.gate)
     if not rested or fraction < least_fraction:
         return failed(rmse, fraction, iterations)
     return RegistrationResult(T, True, rmse, fraction, iterations)
@@ -223,14 +251,39 @@ def _thinned(points: Array, resolution: float) -> small_gicp.PointCloud:
     return small_gicp.PointCloud(points)
 
 
+def _coarser(cloud: small_gicp.PointCloud, resolution: float) -> small_gicp.PointCloud:
+    """A thinned cloud thinned more, if enough is left."""
+    coarse = small_gicp.voxelgrid_sampling(cloud, resolution)
+    return coarse if coarse.size() >= LEAST else cloud
+
+
 def _fit(
-    T: Array, source: small_gicp.PointCloud, tree: small_gicp.KdTree, gate: float, looks: int = 2000
-) -> tuple[float, float]:
-    """Root mean square [m] of the distances within the gate, and the share of the source that has one."""
+    T: Array,
+    source: small_gicp.PointCloud,
+    tree: small_gicp.KdTree,
+    gate: float,
+    normals: Array | None = None,
+    looks: int = 1000,
+) -> tuple[float, float, float]:
+    """How well a pose fits, from at most `looks` points of the source.
+
+    Returns:
+        The root mean square [m] of the distances within the gate, the share of the source that has one, and, with the
+        target's normals, how firmly the tangent planes hold the source: the smallest eigenvalue of their information
+        over the largest, about the middle and with turns in units of the size; 1 without normals.
+    """
     points = np.asarray(source.points())[:, :3]
-    points = points[:: max(1, len(points) // looks)]
-    _, squared = tree.batch_knn_search(points @ T[:3, :3].T + T[:3, 3], 1)
-    squared = np.asarray(squared).reshape(-1)
+    points = points[:: max(1, len(points) // looks)] @ T[:3, :3].T + T[:3, 3]
+    rows, squared = (np.asarray(found).reshape(-1) for found in tree.batch_knn_search(points, 1))
     near = squared <= gate * gate
-    rmse = float(np.sqrt(squared[near].mean())) if near.any() else np.nan
-    return rmse, float(near.mean())
+    if not near.any():
+        return np.nan, 0.0, 0.0
+    rmse, firmness = float(np.sqrt(squared[near].mean())), 1.0
+    if normals is not None:
+        local = points[near] - points[near].mean(axis=0)
+        local /= max(float(np.sqrt((local**2).sum(axis=1).mean())), 1e-12)
+        facing = normals[rows[near].astype(np.int64)]
+        planes = np.concatenate([facing, np.cross(local, facing)], axis=1)
+        values = np.linalg.eigvalsh(planes.T @ planes)
+        firmness = float(values[0] / max(values[-1], 1e-300))
+    return rmse, float(near.mean()), firmness
