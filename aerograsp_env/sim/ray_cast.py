@@ -8,19 +8,15 @@ fields, flexes, skins.
 
 from __future__ import annotations
 
-import ctypes
-import functools
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from llvmlite import ir
-from numba import types
 from numpy.typing import NDArray
 
-from aerograsp_env.sim.kernel_math import compiled, intrinsic
+from aerograsp_env.sim.kernel_math import compiled
+from aerograsp_env.sim.ray_calls import meet, ray_functions
 from aerograsp_env.sim.ray_mesh import DEEPEST, Meshes, face_normal, meshes_of, ray_mesh
 
 Array = NDArray[Any]
@@ -68,7 +64,7 @@ def shapes_of(
     kind = model.geom_type
     return Shapes(
         *(
-            _functions(),
+            ray_functions(),
             (model._address, data._address),
             meshes or meshes_of(model),
             kind,
@@ -98,66 +94,9 @@ def in_shadow(shapes: Shapes, source: Array, rays: Array, geom: NDArray[np.int32
     return shadow
 
 
-@functools.cache
-def _functions() -> tuple[int, int]:
-    folder = Path(mujoco.__file__).parent
-    for pattern in ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll"):
-        for path in sorted(folder.glob(pattern)):
-            library = ctypes.CDLL(str(path))
-            ray_geom, ray_hfield = (
-                int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
-                for name in ("mju_rayGeom", "mj_rayHfield")
-            )
-            return ray_geom, ray_hfield
-    raise RuntimeError(f"no MuJoCo library found beside {Path(mujoco.__file__).name}; is the mujoco package intact?")
-
-
-_I32, _I64, _F64 = ir.IntType(32), ir.IntType(64), ir.DoubleType()
-
-
-@intrinsic
-def _call_geom(typingctx, function, position, rotation, size, origin, ray, kind, normal):
-    """mju_rayGeom(pos, mat, size, pnt, vec, geomtype, normal) at address `function`."""
-    del typingctx, function, position, rotation, size, origin, ray, kind, normal
-
-    def codegen(context, builder, signature, args):
-        del context, signature
-        prototype = ir.FunctionType(_F64, [_I64] * 5 + [_I32, _I64])
-        return builder.call(builder.inttoptr(args[0], prototype.as_pointer()), args[1:])
-
-    return types.float64(*[types.intp] * 6, types.int32, types.intp), codegen
-
-
-@intrinsic
-def _call_hfield(typingctx, function, model, data, geom, origin, ray, normal):
-    """mj_rayHfield(m, d, geomid, pnt, vec, normal) at address `function`."""
-    del typingctx, function, model, data, geom, origin, ray, normal
-
-    def codegen(context, builder, signature, args):
-        del context, signature
-        prototype = ir.FunctionType(_F64, [_I64] * 2 + [_I32] + [_I64] * 3)
-        return builder.call(builder.inttoptr(args[0], prototype.as_pointer()), args[1:])
-
-    return types.float64(*[types.intp] * 3, types.int32, *[types.intp] * 3), codegen
-
-
-@compiled
-def _meet(functions, address, g, origin, ray, normal):
-    """Distance at which the ray meets geom g, which is no mesh, or a negative number.
-
-    address: (ngeom + 1, 4) kinds and the addresses of positions, rotations and sizes; at the end of model and data.
-    origin, ray, normal: addresses of three numbers each; normal is written, unless it is 0.
-    """
-    kind = address[g, 0]
-    if kind == _HFIELD:
-        return _call_hfield(functions[1], address[-1, 0], address[-1, 1], np.int32(g), origin, ray, normal)
-    place = address[g]
-    return _call_geom(functions[0], place[1], place[2], place[3], origin, ray, np.int32(kind), normal)
-
-
 @compiled
 def _addresses(shapes):
-    """The `address` of `_meet`."""
+    """The `address` of `meet`."""
     count = len(shapes.kind)
     out = np.empty((count + 1, 4), np.int64)
     for g in range(count):
@@ -300,7 +239,7 @@ def _cast(shapes, origin, rays, geom, face, distance, normal):
                     if met >= 0:
                         best, which, side = t, g, met
                     continue
-                t = _meet(functions, address, g, origin.ctypes.data, rays.ctypes.data + 24 * i, to)
+                t = meet(functions, address, g, origin.ctypes.data, rays.ctypes.data + 24 * i, to)
                 if 0.0 <= t < best:
                     best, which, side = t, g, -1
                     if len(normal):
@@ -355,7 +294,7 @@ def _shadows(shapes, source, rays, geom, shadow):
                     )  # fmt: skip
                     shadow[i] = met >= 0
                 else:
-                    t = _meet(functions, address, g, source.ctypes.data, rays.ctypes.data + 24 * i, 0)
+                    t = meet(functions, address, g, source.ctypes.data, rays.ctypes.data + 24 * i, 0)
                     shadow[i] = 0.0 <= t < limit
                 if shadow[i]:
                     last = k

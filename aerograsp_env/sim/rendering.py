@@ -17,7 +17,7 @@ specular parts are left out. Shading is done in linear light and encoded as sRGB
 follows MuJoCo's rules for colour (a material's, unless the geom has its own), groups and visibility, and reads the
 model at each call, so a change of ``model.geom_rgba``, of a light or of a mocap pose shows in the next picture;
 textures are read once.
-It leaves out: sites, tendons, flexes, skins; texture coordinates of meshes; more than one translucent layer.
+It leaves out: sites, tendons, flexes, skins, signed distance fields; more than one translucent layer.
 """
 
 from __future__ import annotations
