@@ -2,7 +2,7 @@
 
 Two backends stand behind one small interface (`Renderer`), made by `make_renderer`:
 
-- ``"ray"`` casts one ray a pixel with ``mujoco.mj_multiRay``. It runs on any machine and never touches OpenGL.
+- ``"ray"`` casts one ray a pixel and light, on the processor. It runs on any machine and never touches OpenGL.
 - ``"gl"`` is MuJoCo's rasteriser, created when the first picture is asked for.
 
 Both put the same pinhole camera at the same place: pixel (u, v) looks through its centre (u + ½, v + ½), the optical
@@ -13,10 +13,10 @@ The ray backend draws materials, image textures on any geom (`aerograsp_env.sim.
 active lights (directional, spot, point, with MuJoCo's attenuation, cut-off and exponent) with exact shadows, a sky that
 is brighter than the ground, a faint highlight and haze. A model without active lights gets a sun. The headlight's
 ambient scales the light of the sky, from none at 0 to full day at 0.1 (MuJoCo's default) and above; its diffuse and
-specular parts are left out. Shading is done in linear light and encoded as sRGB. It
-follows MuJoCo's rules for colour (a material's, unless the geom has its own), groups and visibility, and reads the
-model at each call, so a change of ``model.geom_rgba``, of a light or of a mocap pose shows in the next picture;
-textures are read once.
+specular parts are left out. Meshes are shaded smoothly, as in MuJoCo. Shading is done in linear light and encoded as
+sRGB. It follows MuJoCo's rules for colour (a material's, unless the geom has its own), groups and visibility, and reads
+the model at each call, so a change of ``model.geom_rgba``, of a light or of a mocap pose shows in the next picture;
+textures and meshes are read once.
 It leaves out: sites, tendons, flexes, skins, signed distance fields; more than one translucent layer.
 """
 
