@@ -69,7 +69,7 @@ def check_image(image: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
 
 
 def extract(
-    image: ArrayLike, feature: str | FeatureKind = "fast+sift", n: int = 1000, mask: ArrayLike | None = None
+    image: ArrayLike, feature: str | FeatureKind = "sift", n: int = 1000, mask: ArrayLike | None = None
 ) -> ImageFeatures:
     """At most n features of an image, strongest first.
 

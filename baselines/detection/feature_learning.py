@@ -66,7 +66,7 @@ class _Reconstruction(NamedTuple):
 def learn_from_stereo(
     pairs: Sequence[tuple[ArrayLike, ArrayLike]],
     rig: StereoRig,
-    feature: str = "fast+sift",
+    feature: str = "sift",
     masks: Sequence[ArrayLike | None] | None = None,
     n: int = 1000,
     depth_range: tuple[float, float] = (0.1, 10.0),
@@ -90,7 +90,7 @@ def learn_from_stereo(
 
 def learn_from_rgbd(
     frames: Sequence[RGBD],
-    feature: str = "fast+sift",
+    feature: str = "sift",
     masks: Sequence[ArrayLike | None] | None = None,
     n: int = 1000,
     T_c_object: ArrayLike | None = None,

@@ -24,6 +24,7 @@ Ints = NDArray[np.int64]
 
 VERSION = 1  # of the file
 FEATURES = 2500  # of a picture
+LOOSE = 0.92  # ratio of distances that is tried next
 SEARCH = 40.0  # [px] around where the guess puts a point
 
 
@@ -189,7 +190,7 @@ class FeatureModel:
         n: int = FEATURES,
         ratio: float = 0.8,
         threshold: float = 3.0,
-        min_inliers: int = 8,
+        min_inliers: int = 6,
         confidence: float = 0.999,
     ) -> FeaturePose:
         """Find the object in a picture: features, matches, then the pose from those that agree.
@@ -200,7 +201,7 @@ class FeatureModel:
             T_guess: (4, 4) about where it should be, such as where it was in the last picture: tried as well, and where
                 the whole picture gives no pose, features are also sought near to where it puts the points.
             n: features of the picture at most.
-            ratio: see `match`.
+            ratio: see `match`; where it leaves too few pairs, a looser one is tried.
             threshold, min_inliers, confidence: see `pnp.solve_pnp`.
 
         Returns:
@@ -214,7 +215,6 @@ class FeatureModel:
             raise ValueError(f"ratio: expected a number in (0, 1], got {ratio}")
         found = extract(image, self.kind, n, mask)
         distances = self._distances(found.descriptors)
-        rows, points = _pair(distances, ratio)
 
         def solve(T_start: ArrayLike | None = None, spread: float | None = None) -> PnPResult:
             return solve_pnp(
@@ -222,20 +222,21 @@ class FeatureModel:
                 T_guess=T_start, spread=spread,
             )  # fmt: skip
 
-        solved = solve(T_guess)
+        for limit in (ratio, max(ratio, LOOSE)):  # more pairs, and more wrong ones, where the few give no pose
+            rows, points = _pair(distances, limit)
+            solved = solve(T_guess)
+            if solved.T_c_object is not None:
+                break
         if solved.T_c_object is None and T_guess is not None:
             # What lies near where it was expected need only differ from what else would lie there.
             near = self._near(found.pixels, T_guess, intrinsics, SEARCH)
-            guided = _pair(np.where(near, distances, np.inf), ratio)
-            rows, points = (np.concatenate(both) for both in zip((rows, points), guided, strict=True))
-            _, first = np.unique(points, return_index=True)
-            rows, points = rows[np.sort(first)], points[np.sort(first)]
+            rows, points = _pair(np.where(near, distances, np.inf), ratio)
             solved = solve(T_guess, SEARCH)
         if solved.T_c_object is not None:
             # More of the object's features, now that it is known where they must be, for a better pose.
-            limit = np.quantile(distances[rows, points][solved.inliers], 0.9)
+            farthest = np.quantile(distances[rows, points][solved.inliers], 0.9)
             near = self._near(found.pixels, solved.T_c_object, intrinsics, threshold)
-            more = _pair(np.where(near & (distances <= limit), distances, np.inf), 1.0)
+            more = _pair(np.where(near & (distances <= farthest), distances, np.inf), 1.0)
             if len(more[0]) > solved.inliers.sum():
                 kept, (rows, points) = (rows, points), more
                 again = solve(solved.T_c_object)

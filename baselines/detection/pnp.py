@@ -139,7 +139,7 @@ def solve_pnp(
     pixels: ArrayLike,
     intrinsics: Intrinsics,
     threshold: float = 3.0,
-    min_inliers: int = 8,
+    min_inliers: int = 6,
     confidence: float = 0.999,
     iterations: int = 1000,
     T_guess: ArrayLike | None = None,
