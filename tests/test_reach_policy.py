@@ -17,7 +17,8 @@ from agents.reproduce import TABLES
 from agents.reproduction import Request
 from baselines.kinematics import Arm
 from baselines.policies.reach import ServoPolicy, dls, dls_no_feedforward
-from baselines.policies.reach_kernel import Settings, alpha_beta, find_goal, level_from_body
+from baselines.policies.reach_kernel import alpha_beta, find_goal, level_from_body
+from baselines.policies.reach_state import Settings
 
 STEP, RATE, SERVO_TIME = 0.02, 2.0, 0.04
 RIGHT, LEFT, SINGLE = BELEROFONTE_ARMS.mount("right"), BELEROFONTE_ARMS.mount("left"), AQUILES.mount("right")
@@ -191,6 +192,15 @@ def test_late_estimates_are_brought_to_now():
 
 def test_late_commands_do_not_destabilise():
     assert follow(StandIn(RIGHT, command_delay=4), dls())[150:].max() < 0.02
+
+
+@pytest.mark.parametrize("steps", [0, 2, 4])
+def test_the_delay_of_commands_is_found(steps):
+    world, policy, state = StandIn(RIGHT, command_delay=steps), dls(), None
+    for _ in range(150):
+        action, state = policy.predict(world.observe(), state)
+        world.step(action.astype(float))
+    assert state["delay"][0] == pytest.approx(STEP * steps, rel=0.25, abs=1e-3)
 
 
 def test_another_configuration_is_taken_where_the_nearest_is_a_dead_end():

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from baselines.policies.dock import VELOCITY_LIMIT, Limit, LQGPolicy, PIDPolicy, pid, pid_tuned
 from baselines.policies.reach import JOINT_RATE, ServoPolicy
-from baselines.policies.reach_kernel import Settings
+from baselines.policies.reach_state import Settings
 
 Array = NDArray[np.float64]
 Observation = Mapping[str, NDArray[Any]]

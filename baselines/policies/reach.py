@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from aerograsp_env.sim.arms.hecatonquiros import ARMS
 from aerograsp_env.sim.config import CONTROL_STEP
 from baselines.kinematics.arm import Arm
-from baselines.policies.reach_kernel import STATE, Settings, servo_rows
+from baselines.policies.reach_kernel import servo_rows
+from baselines.policies.reach_state import STATE, Settings
 
 Observation = Mapping[str, NDArray[Any]]
 

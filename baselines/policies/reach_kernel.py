@@ -8,61 +8,22 @@ estimate tells: dead reckoning, good enough for the fractions of a second over w
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from aerograsp_env.sim.kernel_math import clip, compiled
 from baselines.kinematics.chain import bounded_step, forward_kernel, gram_kernel, jacobian_kernel
 from baselines.kinematics.dls import least_singular_value
+from baselines.policies.reach_state import PAST
 
-JOINTS = 6  # at most
-PAST = 32  # control steps of own motion remembered: the longest delay of an estimate that is made up for
 SEARCH_STEP, SEARCH_STEPS = 0.3, 60  # [rad] of a joint at most, and how many
 FOUND = 0.001  # [m] from the point at most
 NEAR_LIMIT = 0.5  # [rad] from a limit at which a configuration begins to be worse
 AGILE = 0.3  # least singular value below which a configuration begins to be worse, as a share of the arm's length
 WAY_COST = 0.3  # [1/rad] of the way there, beside 1 for a limit or a singularity
 STUCK, STUCK_STEPS = 0.01, 15  # [m] off the point for so many control steps: another configuration is looked for
+MOVED = 1.0  # [rad²/s²] sum of squared rates over control steps from which on a delay shows
 FOLLOWING_ERROR = 0.35  # [rad] servos' set-points stay this near to their joints
-
-
-class Settings(NamedTuple):
-    """Gains of the servoing. Chosen on validation seeds."""
-
-    gain: float = 8.0  # [1/s] of the goal configuration towards the point, and of the reference towards it
-    share: float = 0.8  # of the joints' rate limits that the reference uses; the rest is for corrections
-    damping: float = 0.05  # λ at a singularity, as a share of the arm's length
-    threshold: float = 0.05  # least singular value below which damping begins, as a share of the arm's length
-    posture_gain: float = 5.0  # [1/s] of joints away from near limits, with the motion that leaves the tool in place
-    posture_weight: float = 0.01  # of that motion [m/rad]: well below the Jacobian's singular values
-    sag_gain: float = 0.05  # of a control step's estimate of how far servos give way under load
-    rotation_time: float = 0.04  # [s] low-pass of the angular velocity that is fed forward
-    acceleration: float = 0.6  # [m/s²] the point's, unknown, standard deviation
-    noise: float = 0.002  # [m] of an estimate that is processed images
-    exact_noise: float = 0.0001  # [m] of one without delay
-
-
-STATE = np.dtype(
-    [
-        ("started", np.int64),
-        ("step", np.int64),
-        ("heading", np.float64),
-        ("place", np.float64, (3,)),  # of the vehicle, level axes
-        ("past", np.float64, (PAST, 4, 3)),  # R_level_body and place, newest at step % PAST
-        ("age", np.float64),  # of the newest estimate [s]
-        ("seen", np.int64),  # estimates so far
-        ("point", np.float64, (3,)),  # when it was seen, level axes
-        ("velocity", np.float64, (3,)),  # of the point, level axes
-        ("rotation", np.float64, (3,)),  # angular velocity, low-passed
-        ("stuck", np.int64),  # control steps in a row that the goal configuration has been off the point
-        ("goal", np.float64, (JOINTS,)),  # configuration with the tool at the point
-        ("reference", np.float64, (JOINTS,)),  # where the joints should be, on their way to the goal
-        ("command", np.float64, (JOINTS,)),  # servo set-points as this policy gave them
-        ("sag", np.float64, (JOINTS,)),  # of set-points against joints that do not move
-    ],
-    align=True,
-)
 
 
 @compiled
@@ -89,6 +50,15 @@ def alpha_beta(interval, acceleration, noise, seen):
     beta = 2.0 * (2.0 - alpha) - 4.0 * math.sqrt(1.0 - alpha)
     k = float(seen)  # 1 with the first one after the start's
     return max(alpha, (4.0 * k + 2.0) / ((k + 1.0) * (k + 2.0))), max(beta, 6.0 / ((k + 1.0) * (k + 2.0)))
+
+
+@compiled
+def _command_delay(s, q, lag):
+    """How late commands arrive [s]: how far the servos' set-points are behind those given, by least squares."""
+    for i in range(q.shape[0]):
+        s.behind += (s.command[i] - q[i] - lag[i]) * s.rate[i]
+        s.moved += s.rate[i] ** 2
+    return max(s.behind, 0.0) / (s.moved + MOVED)
 
 
 @compiled
@@ -204,7 +174,7 @@ def find_goal(chain, length, settings, limits, seeds, point, offset, q_now, q_go
 
 
 @compiled
-def _advance_goal(chain, limits, length, settings, s, step, offset, point, drift, q_next):
+def _advance_goal(chain, limits, length, settings, gain, s, step, offset, point, drift, q_next):
     """One damped step of the goal configuration (n,) to the `point`, which moves by `drift`; returns its distance."""
     n = q_next.shape[0]
     q, tool, twist = s.goal[:n], np.empty((3, 4)), np.zeros(6)
@@ -212,7 +182,7 @@ def _advance_goal(chain, limits, length, settings, s, step, offset, point, drift
     distance = 0.0
     for i in range(3):
         error = point[i] - offset[i] - tool[i, 3]
-        twist[i] = step * (settings.gain * error + drift[i])
+        twist[i] = step * (gain * error + drift[i])
         distance += error * error
     away = settings.posture_gain * step
     _damped_step(chain, length, settings, q, away, twist, limits, np.full(n, SEARCH_STEP), q_next)
@@ -220,11 +190,11 @@ def _advance_goal(chain, limits, length, settings, s, step, offset, point, drift
 
 
 @compiled
-def _advance_reference(settings, s, step, rate_limits, q_goal, q_next):
+def _advance_reference(settings, gain, s, step, rate_limits, q_goal, q_next):
     """The reference goes along with the goal configuration and closes in on it, all joints slowed down alike."""
     shrink = 1.0
     for i in range(q_next.shape[0]):
-        q_next[i] = q_goal[i] - s.goal[i] + settings.gain * step * (s.goal[i] - s.reference[i])
+        q_next[i] = q_goal[i] - s.goal[i] + gain * step * (s.goal[i] - s.reference[i])
         shrink = min(shrink, settings.share * rate_limits[i] * step / max(abs(q_next[i]), 1e-12))
     for i in range(q_next.shape[0]):
         q_next[i] = s.reference[i] + shrink * q_next[i]
@@ -250,13 +220,20 @@ def servo_rows(
             s.place[:] = 0.0
             s.velocity[:] = 0.0
             s.rotation[:] = 0.0
+            s.rate[:] = 0.0
+            s.behind, s.moved, s.delay = 0.0, 0.0, 0.0
             for i in range(n):
                 s.goal[i], s.reference[i], s.command[i], s.sag[i] = q[i], q[i], q[i] + lag[i], lag[i]
         else:
             s.step += 1
+        gain, low_pass = settings.gain, settings.rotation_time
+        if feedforward:
+            s.delay = _command_delay(s, q, lag)
+            gain = min(gain, settings.delay_margin / max(s.delay, 1e-3))
+            low_pass = max(low_pass, settings.rotation_delays * s.delay)
         _dead_reckon(s, step, velocity, gyro, roll, pitch, rotation)
         for i in range(3):
-            s.rotation[i] += step / (settings.rotation_time + step) * (gyro[i] - s.rotation[i])
+            s.rotation[i] += step / (low_pass + step) * (gyro[i] - s.rotation[i])
         if feedforward:
             _track(settings, s, step, age, goals[row])
             _seen_from_body(s, rotation, velocity, s.rotation, point, drift)
@@ -271,15 +248,17 @@ def servo_rows(
             s.stuck = 0
             if find_goal(chain, length, settings, limits, seeds, point, offset, s.reference[:n], q_goal):
                 s.goal[:n] = q_goal
-        off = _advance_goal(chain, limits, length, settings, s, step, offset, point, drift, q_goal)
+        off = _advance_goal(chain, limits, length, settings, gain, s, step, offset, point, drift, q_goal)
         s.stuck = s.stuck + 1 if off > STUCK else 0
-        _advance_reference(settings, s, step, rate_limits, q_goal, q_next)
+        _advance_reference(settings, gain, s, step, rate_limits, q_goal, q_next)
         for i in range(n):
             s.sag[i] += settings.sag_gain * (s.command[i] - q[i] - servo_time[i] * rates[i] - s.sag[i])
             moving = (q_next[i] - s.reference[i]) / step
             wanted = q_next[i] + servo_time[i] * moving + s.sag[i]
             rate = clip((wanted - s.command[i]) / step, -rate_limits[i], rate_limits[i])
             command = clip(s.command[i] + step * rate, q[i] - FOLLOWING_ERROR, q[i] + FOLLOWING_ERROR)
-            s.command[i] = clip(command, limits[i, 0], limits[i, 1])
+            command = clip(command, limits[i, 0], limits[i, 1])
+            s.rate[i] = (command - s.command[i]) / step
+            s.command[i] = command
             s.goal[i], s.reference[i] = q_goal[i], q_next[i]
             actions[row, i] = clip(rate / joint_rate, -1.0, 1.0)
