@@ -12,6 +12,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 
@@ -59,11 +60,14 @@ def measure(points: int = 20_000, repeats: int = 9) -> dict[str, dict[str, float
             translation_epsilon=2e-3 * scales.resolution,
         ).T_target_source
 
+    def ours(method: Any) -> Any:
+        return register(source, target, method=method).T_target_source
+
     out = {}
     for method, kind in KINDS.items():
-        calls = {
-            "direct": lambda kind=kind: direct(kind),
-            "register": lambda method=method: register(source, target, method=method).T_target_source,
+        calls: dict[str, Callable[[], Any]] = {
+            "direct": partial(direct, kind),
+            "register": partial(ours, method),
         }
         seconds = medians(calls, repeats)
         row = seconds | {"ratio": seconds["register"] / seconds["direct"]}

@@ -143,7 +143,7 @@ class PoseTracker:
         if dt < 0.0:
             raise ValueError(f"stamp: expected one not before the track's {track.stamp}, got {stamp}")
         first, second = self._filters(self.noise)
-        position, turn = first.predict(track.position, dt), second.predict(track.turn, dt)  # type: ignore[arg-type]
+        position, turn = first.predict(track.position, dt), second.predict(track.turn, dt)
         return _folded(replace(track, stamp=float(stamp), position=position, turn=turn))
 
     def update(
@@ -172,8 +172,8 @@ class PoseTracker:
         pose, _ = nearest_symmetric(_pose(T), self.symmetries, before.R)
         noise = self._noise(covariance)
         first, second = self._filters(noise)
-        position = first.update(before.position, pose[:3, 3])  # type: ignore[arg-type]
-        turn = second.update(before.turn, turn_between(before.R, pose[:3, :3]))  # type: ignore[arg-type]
+        position = first.update(before.position, pose[:3, 3])
+        turn = second.update(before.turn, turn_between(before.R, pose[:3, :3]))
         assert position.innovation is not None and turn.innovation is not None
         if not (position.innovation.accepted and turn.innovation.accepted):
             if track.rejected + 1 > self.patience:
@@ -193,7 +193,7 @@ class PoseTracker:
 
     def _filters(self, noise: Array) -> tuple[Any, Any]:
         """One filter for the position, one for the rotation, with these measurement covariances."""
-        return tuple(  # type: ignore[return-value]
+        return tuple(
             self._filter(constant_acceleration_model(jerk, noise[at, at]))
             for jerk, at in zip(self.jerks, (slice(0, 3), slice(3, 6)), strict=True)
         )

@@ -230,25 +230,23 @@ def _inside(points: Array, around: Array, margin: float) -> NDArray[np.bool_]:
 
 def _crop(points: Array, around: Array, margin: float) -> Array:
     """The points inside a cloud's bounding box, widened by a margin [m]; not copied where that is all of them."""
-    inside = _inside(points, around, margin)
-    return points if inside.all() else points[inside]
+    low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
+    if (points.min(axis=0) >= low).all() and (points.max(axis=0) <= high).all():
+        return points
+    return points[_inside(points, around, margin)]
 
 
 def _prepared(points: Array, resolution: float) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
-    """A cloud thinned by voxels, with normals and covariances, and its tree."""
-    cloud = _thinned(points, resolution)
+    """A cloud thinned by voxels (unless too little would be left), with normals and covariances, and its tree."""
+    # small_gicp numbers voxels by 21 bits an axis, and drops what lies beyond them.
+    if max(-points.min(), points.max()) < 2**20 * resolution:
+        cloud, tree = small_gicp.preprocess_points(points, resolution, NEIGHBORS)
+        if cloud.size() >= LEAST:
+            return cloud, tree
+    cloud = small_gicp.PointCloud(points)
     tree = small_gicp.KdTree(cloud)
     small_gicp.estimate_normals_covariances(cloud, tree, NEIGHBORS)
     return cloud, tree
-
-
-def _thinned(points: Array, resolution: float) -> small_gicp.PointCloud:
-    low = points.min(axis=0)
-    if (np.ptp(points, axis=0) / resolution < 2**20).all() and (np.abs(low) / resolution < 2**20).all():
-        cloud = small_gicp.voxelgrid_sampling(points, resolution)
-        if cloud.size() >= LEAST:
-            return cloud
-    return small_gicp.PointCloud(points)
 
 
 def _coarser(cloud: small_gicp.PointCloud, resolution: float) -> small_gicp.PointCloud:

@@ -24,7 +24,7 @@ def _nearest(points, rows):
     return out
 
 
-def point_spacing(points: Array, looks: int = 24) -> float:
+def point_spacing(points: Array, looks: int = 16) -> float:
     """Median distance [m] from a point of (N, 3) to its nearest other, from some of them evenly picked by index.
 
     Brute force over a few points takes less time than building a tree. Coinciding points do not count; 0 when all do.

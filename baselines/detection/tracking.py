@@ -25,7 +25,8 @@ def constant_acceleration_model(jerk: float, measurement_noise: Array) -> Model:
     identity, H = np.eye(3), np.eye(3, 9)
 
     def F(x: Array, u: Any, dt: float) -> Array:
-        return np.kron(np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]]), identity)
+        steps = np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
+        return np.asarray(np.kron(steps, identity), dtype=np.float64)
 
     def Q(dt: float) -> Array:
         powers = np.array(
@@ -35,7 +36,7 @@ def constant_acceleration_model(jerk: float, measurement_noise: Array) -> Model:
                 [dt**3 / 6.0, dt**2 / 2.0, dt],
             ]
         )
-        return np.kron(jerk**2 * powers, identity)
+        return np.asarray(np.kron(jerk**2 * powers, identity), dtype=np.float64)
 
     def f(x: Array, u: Any, dt: float) -> Array:
         return x @ F(x, u, dt).T
