@@ -14,7 +14,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -82,12 +82,12 @@ def scene(seed: int = 0) -> tuple[mujoco.MjModel, mujoco.MjData]:
     return model, data
 
 
-def measure(repeats: int = 21) -> tuple[list[Row], str | None]:
+def measure(repeats: int = 21, sizes: Sequence[int] = SIZES) -> tuple[list[Row], str | None]:
     """Measure all sizes, in a process of its own. Returns rows, and why OpenGL was left out, or None."""
-    program = "import sys; from agents.camera_speed import _worker; _worker(int(sys.argv[1]))"
+    program = "import sys; from agents.camera_speed import _worker; _worker(*map(int, sys.argv[1:]))"
     for platform in dict.fromkeys((os.environ.get("MUJOCO_GL", "egl"), "disable")):
         environment = {**os.environ, "MUJOCO_GL": platform, "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, "-c", program, str(repeats)]
+        command = [sys.executable, "-c", program, *map(str, (repeats, *sizes))]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, errors="replace")
         if done.returncode == 0:
             document = json.loads(done.stdout.splitlines()[-1])
@@ -95,10 +95,10 @@ def measure(repeats: int = 21) -> tuple[list[Row], str | None]:
     raise RuntimeError(f"the measurement failed: {done.stderr.strip().splitlines()[-1:]}")
 
 
-def _worker(repeats: int) -> None:
+def _worker(repeats: int, *sizes: int) -> None:
     fault = gl_fault()
     model, data = scene()
-    print(json.dumps({"rows": [_compare(model, data, size, repeats, fault is None) for size in SIZES], "fault": fault}))
+    print(json.dumps({"rows": [_compare(model, data, size, repeats, fault is None) for size in sizes], "fault": fault}))
 
 
 def _compare(model: mujoco.MjModel, data: mujoco.MjData, size: int, repeats: int, gl: bool) -> Row:

@@ -16,9 +16,9 @@ def test_the_scene_has_forty_geoms_and_two_meshes_of_five_thousand_faces() -> No
     assert model.ntex == 1 and model.nlight == 1
 
 
-def test_every_size_is_measured_and_shown() -> None:
-    rows, fault = measure(repeats=1)
-    assert [row.size for row in rows] == list(SIZES)
+def test_each_size_is_measured_and_shown() -> None:
+    rows, fault = measure(repeats=1, sizes=(16, 32))
+    assert [row.size for row in rows] == [16, 32] and SIZES[0] == 64
     assert all(row.cast_seconds > 0.0 and row.frame_seconds > 0.0 and row.ratio > 0.0 for row in rows)
     assert all((row.gl_ratio is None) == (fault is not None) for row in rows)
     text = table([Row(64, 1e-3, 2e-3, 3e-3, 2.0, None, None)], "no EGL")
