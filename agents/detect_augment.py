@@ -58,7 +58,7 @@ class Augmentation:
     turn: float = 1.0  # a random quarter turn and reflection
     depth_dropout: float = 0.5  # a picture without depth, so that the network also reads photographs
     color: float = 0.9
-    grey: float = 0.1
+    grey: float = 0.15
     background: float = 0.1  # everything but the objects replaced by noise or an even colour
     blur: float = 0.15
     noise: float = 0.3

@@ -67,7 +67,9 @@ class Training:
         self.shard = shard
         self.network = build(layout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = copy.deepcopy(self.network).eval().requires_grad_(False)
-        self.optimizer = torch.optim.AdamW(_groups(self.network, config.weight_decay), lr=config.learning_rate)
+        self.optimizer = torch.optim.AdamW(
+            _groups(self.network, config.weight_decay), lr=config.learning_rate, fused=True
+        )
         self.step, self.seconds, self.curve = 0, 0.0, []  # type: int, float, list[dict[str, float]]
         self.card: dict[str, Any] = {}
         self.initial: dict[str, Any] | None = None  # what the weights that it began with were trained by

@@ -87,7 +87,10 @@ def others(make: Callable[[Shard], Any], count: int, folder: Path) -> Iterator[S
 def _work(make: Callable[[Shard], Any], shard: Shard, place: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process finishes its step, and then ends this one
     training = make(shard)
-    distributed.init_process_group(
-        "gloo", init_method=place, rank=shard.rank, world_size=shard.processes, timeout=PATIENCE
-    )
+    _meet(shard, place)
     training.run(progress=False)
+
+
+def _meet(shard: Shard, place: str) -> None:
+    rank, count = shard
+    distributed.init_process_group("gloo", init_method=place, rank=rank, world_size=count, timeout=PATIENCE)
