@@ -6,12 +6,12 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from aerograsp_env.envs.dock_manipulate import dock_manipulate_task
-from aerograsp_env.envs.manipulation_options import built
+from aerograsp_env.envs.manipulation_base import manipulation_setup
+from aerograsp_env.envs.options import built
 from aerograsp_env.envs.reach import GoalReward, reach_task
-from aerograsp_env.sim.manipulation.reset import check_options
+from aerograsp_env.envs.setup import Setup
 from aerograsp_env.sim.manipulation.task import Task
-from aerograsp_env.sim.manipulation.worlds import ManipulationWorlds
-from aerograsp_env.vector_base import BatchedEnv, Setup
+from aerograsp_env.vector_base import BatchedEnv
 
 
 class ManipulationVectorEnv(BatchedEnv):
@@ -20,20 +20,8 @@ class ManipulationVectorEnv(BatchedEnv):
     build: ClassVar[Callable[..., Task]]
 
     def _setup(self, options: dict[str, Any], threads: int | None) -> Setup:
-        task = built(type(self).build, options)
-        worlds = ManipulationWorlds(task.config, task, self.num_envs, threads)
-        self.task: Task = task
-        return Setup(
-            config=task.config,
-            worlds=worlds,
-            observation=task.observation,
-            action_layout=task.actions,
-            terms=tuple((name, task.terms.index(name)) for name in task.reward_terms(self.reward_mode)),
-            metrics=task.metrics,
-            always_reported=frozenset(task.always_reported),
-            counted=lambda: worlds.flags[:, 2],
-            check_options=lambda options: check_options(options, task.reset_options),
-        )
+        self.task: Task = built(type(self).build, options)
+        return manipulation_setup(self.task, self.reward_mode, self.num_envs, threads)
 
 
 class ReachVectorEnv(GoalReward, ManipulationVectorEnv):

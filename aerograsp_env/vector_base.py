@@ -6,8 +6,7 @@ World i equals the single environment reset with seed + i, to the last bit: both
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from aerograsp_env.envs.dock_task import observation_space, slices
 from aerograsp_env.envs.options import REWARD_MODES, check_action, choose
-from aerograsp_env.sim.actions import ActionDimension
+from aerograsp_env.envs.setup import Setup
 from aerograsp_env.sim.config import CONTROL_STEP
 from aerograsp_env.sim.layout import TERMINATIONS
 
@@ -29,37 +28,6 @@ _MODES = {
     "disabled": AutoresetMode.DISABLED,
 }
 _TERMINATIONS = np.array(TERMINATIONS)
-
-
-class Batch(Protocol):
-    """`n` worlds as `BatchedEnv` uses them; results are rows of arrays that the next call overwrites."""
-
-    observations: NDArray[np.float32]  # (n, D)
-    terms: NDArray[np.float64]  # (n, terms)
-    metrics: NDArray[np.float64]  # (n, metrics)
-    flags: NDArray[np.bool_]  # (n, 2 or more) = (success, terminated, …)
-    states: NDArray[Any]  # (n,) records with `step` and `termination`
-    active: NDArray[np.bool_]  # (n,) worlds that `step` advances
-
-    @property
-    def action_size(self) -> int: ...
-    def reset(self, index: int, rng: np.random.Generator, options: dict[str, Any]) -> None: ...
-    def step(self, actions: NDArray[np.float64], rngs: list[np.random.Generator]) -> None: ...
-    def close(self) -> None: ...
-
-
-class Setup(NamedTuple):
-    """What a task makes of the options: its worlds, and how to read their results."""
-
-    config: Any
-    worlds: Batch
-    observation: tuple[tuple[str, int, float], ...]  # name, size, bound: parts of an observation row
-    action_layout: tuple[ActionDimension, ...]
-    terms: tuple[tuple[str, int], ...]  # name and column of those that make up the reward
-    metrics: tuple[str, ...]
-    always_reported: frozenset[str]  # metrics that mean something before errors count
-    counted: Callable[[], NDArray[np.bool_]]  # (n,) whether they do
-    check_options: Callable[[dict[str, Any] | None], dict[str, Any]]  # of reset
 
 
 class BatchedEnv(VectorEnv, ABC):
@@ -193,7 +161,7 @@ class BatchedEnv(VectorEnv, ABC):
             terms[name], terms[f"_{name}"] = worlds.terms[:, column].copy(), mask
         figures: dict[str, Any] = {}
         columns = worlds.metrics.T.copy()
-        counted, always = mask & self._setting.counted(), self._setting.always_reported
+        counted, always = mask & (self._setting.counted > 0), self._setting.always_reported
         for name, column_values in zip(self._setting.metrics, columns, strict=True):
             figures[name], figures[f"_{name}"] = column_values, mask if name in always else counted
         return {

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import inspect
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -70,14 +67,3 @@ def manipulation_config(
         sensors=instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
         autopilot=instance("autopilot", autopilot, AutopilotConfig) if autopilot is not None else base.autopilot,
     )
-
-
-def built(build: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """`build(**options)`, with an error that lists the valid names where an option is unknown."""
-    known = list(inspect.signature(build).parameters)
-    for name in options:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"unknown option {name!r}{hint}; options: {', '.join(known)}")
-    return build(**options)

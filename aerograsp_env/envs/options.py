@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -131,6 +132,17 @@ def dock_config(
         sensors=instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
         tool=instance("tool", tool, DockingToolConfig) if tool is not None else base.tool,
     )
+
+
+def built(build: Callable[..., Any], options: dict[str, Any], **fixed: Any) -> Any:
+    """`build(**options, **fixed)`, with an error that lists the valid names where an option is unknown."""
+    known = [name for name in inspect.signature(build).parameters if name not in fixed]
+    for name in options:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise ValueError(f"unknown option {name!r}{hint}; options: {', '.join(known)}")
+    return build(**options, **fixed)
 
 
 def check_action(action: Any, shape: tuple[int, ...]) -> NDArray[Any]:
