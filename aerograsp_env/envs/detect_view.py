@@ -53,7 +53,7 @@ def draw_detections(
 
     for detection in detections:
         color = label_color(detection.label)
-        cv2.rectangle(picture, pixel(detection.box[:2]), pixel(detection.box[2:]), color, line, cv2.LINE_AA)
+        cv2.rectangle(picture, pixel(detection.box[:2]), pixel(detection.box[2:]), color, line)
         if detection.T_c_object is not None:
             _draw_axes(picture, detection.T_c_object, intrinsics.matrix, axis_length, line, pixel)
     for detection in detections:  # words above all lines

@@ -3,6 +3,7 @@
 POLICIES: dict[str, dict[str, str]] = {
     "aerograsp/Detect-v0": {
         "clusters+icp": "baselines.policies.detect:clusters_icp",
+        "features+pnp": "baselines.policies.detect:features_pnp",
         "oracle-truth": "baselines.policies.detect:truth",
     },
     "aerograsp/Dock-v0": {

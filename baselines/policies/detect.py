@@ -4,6 +4,8 @@
 colours; the class's nominal shape, stretched to the cluster and aligned to it by ICP (section 3.3); class and pose are
 followed from frame to frame, with what the vehicle's attitude and velocity estimates say of the camera's way.
 
+`features+pnp`: the same, but once a thing was seen for some frames its own image features give its pose, by PnP.
+
 `oracle-truth` reports what the simulator knows.
 """
 
@@ -19,6 +21,7 @@ from aerograsp_env.envs.detect_action import detections_to_action, observed_fram
 from aerograsp_env.interfaces import RGBD, Detection
 from aerograsp_env.spatial import Array, inverse
 from baselines.policies.detect_descriptors import Description, describe
+from baselines.policies.detect_features import in_start, learn, locate
 from baselines.policies.detect_pose import fit_pose
 from baselines.policies.detect_proposals import Proposal, find_proposals
 from baselines.policies.detect_recognition import NAMES, NOTHING, Forest, shipped
@@ -30,6 +33,7 @@ GATE = 0.08  # [m] that a thing's middle may move between frames
 FORGET = 0.85  # weight of the evidence so far in each new frame
 MISSED = 6  # frames after which a track is dropped
 LEAST_SCORE = 0.35  # of what is reported
+SETTLED, RELEARN, FEW = 3, 5, 10  # frames before features are learned, and between two learnings; inliers that are few
 
 
 class RowState(NamedTuple):
@@ -37,6 +41,16 @@ class RowState(NamedTuple):
 
     odometry: Odometry
     tracks: tuple[Track, ...]
+
+
+class Sight(NamedTuple):
+    """One thing as one frame shows it."""
+
+    frame: RGBD
+    proposal: Proposal
+    description: Description
+    T_start_camera: Array  # (4, 4)
+    stamp: float  # [s]
 
 
 class ClusterPolicy:
@@ -88,34 +102,36 @@ class ClusterPolicy:
         ]
         for proposal, item, place, owner in zip(proposals, described, places, owners, strict=True):
             track = self._follow(None if owner < 0 else tracks[owner], item, place)
-            track, detection = self._report(track, proposal, item, T_start_camera, stamp)
+            label, score = _best(track)
+            if score >= LEAST_SCORE:
+                if track.label != label:
+                    track = track._replace(label=label, pose=None, features=None)
+                track = self._pose(track, Sight(frame, proposal, item, T_start_camera, stamp))
+                assert track.pose is not None
+                found.append(Detection(label, score, proposal.box, inverse(T_start_camera) @ track.pose.T))
             kept.append(track)
-            if detection is not None:
-                found.append(detection)
         return found, tuple(kept)
 
     def _follow(self, track: Track | None, item: Description, place: Array) -> Track:
-        recognizer = self._recognizer or shipped()
-        evidence = recognizer.log_probabilities(item.features)
+        evidence = (self._recognizer or shipped()).log_probabilities(item.features)
         if track is None:
             return Track(place, evidence, 1, 0)
-        return track._replace(
-            place=place, evidence=FORGET * track.evidence + evidence, frames=track.frames + 1, missed=0
-        )
+        evidence = FORGET * track.evidence + evidence
+        return track._replace(place=place, evidence=evidence, frames=track.frames + 1, missed=0)
 
-    def _report(
-        self, track: Track, proposal: Proposal, item: Description, T_start_camera: Array, stamp: float
-    ) -> tuple[Track, Detection | None]:
-        p = np.exp(track.evidence - track.evidence.max())
-        p /= p.sum()
-        best = int(p[: NAMES.index(NOTHING)].argmax())
-        score, label = float(p[best]), NAMES[best]
-        if score < LEAST_SCORE:
-            return track, None
-        T_seen = T_start_camera @ fit_pose(label, proposal, item).T_c_object
-        pose = tracker_of(label).update(track.pose if track.label == label else None, T_seen, stamp)
-        track = track._replace(label=label, pose=pose)
-        return track, Detection(label, score, proposal.box, inverse(T_start_camera) @ pose.T)
+    def _pose(self, track: Track, sight: Sight) -> Track:
+        """The track with its pose brought up to this frame."""
+        seen = fit_pose(track.label, sight.proposal, sight.description).T_c_object
+        pose = tracker_of(track.label).update(track.pose, sight.T_start_camera @ seen, sight.stamp)
+        return track._replace(pose=pose)
+
+
+def _best(track: Track) -> tuple[str, float]:
+    """The likeliest class of a track, of those that are objects, and its probability."""
+    p = np.exp(track.evidence - track.evidence.max())
+    p /= p.sum()
+    best = int(p[: NAMES.index(NOTHING)].argmax())
+    return NAMES[best], float(p[best])
 
 
 def _rows(observation: Observation) -> list[Observation]:
@@ -140,9 +156,41 @@ def seen_frame(observation: Observation) -> RGBD:
     return RGBD(np.asarray(observation["rgb"]), depth, camera)
 
 
+class FeaturePolicy(ClusterPolicy):
+    """Clusters, recognised and first posed as by `ClusterPolicy`; then each thing's own features say how it moves.
+
+    From the first frames that show a thing its features are lifted to points by their depth. Later frames are matched
+    with them, and the pose is found by PnP (thesis, section 3.4): independent of how much of the shape is seen.
+    """
+
+    def _pose(self, track: Track, sight: Sight) -> Track:
+        found = None
+        if track.features is not None and track.pose is not None:
+            guess = inverse(sight.T_start_camera) @ tracker_of(track.label).predict(track.pose, sight.stamp).T
+            found = locate(track.features, sight.frame, sight.proposal.box, guess)
+        if found is None:
+            track = super()._pose(track, sight)
+        else:
+            T, covariance = sight.T_start_camera @ found.T_c_object, in_start(found.covariance, sight.T_start_camera)
+            track = track._replace(pose=tracker_of(track.label).update(track.pose, T, sight.stamp, covariance))
+        few = found is None or found.inliers < FEW
+        if few and (track.features is None or track.frames - track.learned >= RELEARN) and track.frames >= SETTLED:
+            assert track.pose is not None
+            T_c_object = inverse(sight.T_start_camera) @ track.pose.T
+            points = sight.proposal.points
+            features = learn(sight.frame, sight.proposal.box, points, T_c_object)
+            track = track._replace(features=features, learned=track.frames)
+        return track
+
+
 def clusters_icp() -> ClusterPolicy:
     """The policy `clusters+icp`."""
     return ClusterPolicy()
+
+
+def features_pnp() -> FeaturePolicy:
+    """The policy `features+pnp`."""
+    return FeaturePolicy()
 
 
 class TruthOracle:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerograsp_env.spatial import transform
-from baselines.policies.detect_proposals import Proposal
+from baselines.policies.detect_proposals import Proposal, level_axes
 
 Array = NDArray[np.float64]
 
 BINS = 6  # along the outline's longer side
-LEAST_SIDE = 0.004  # [m] of an outline
+LEAST_HEIGHT = 0.004  # [m] of a bounding box
 LAYERS = 4  # of the heights' histogram
 FEATURES = 6 + 2 * BINS + LAYERS + 3 + 9 + 6
 
@@ -34,18 +34,17 @@ def describe(proposal: Proposal, pixel_area: float) -> Description:
         pixel_area: solid angle of a pixel, 1 / (fx fy) [1/px²].
     """
     points, up = proposal.points, proposal.up
-    x = np.cross(up, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    y = np.cross(up, x)
+    x, y = level_axes(up)
     flat = np.stack([points @ x, points @ y], axis=1)
     height = points @ up - proposal.floor
     offset = flat.mean(axis=0)
     (cx, cy), (first, second), degrees = cv2.minAreaRect((flat - offset).astype(np.float32))
     angle = np.radians(degrees) + (0.0 if first >= second else 0.5 * np.pi)
-    long, wide = max(first, second, LEAST_SIDE), max(min(first, second), LEAST_SIDE)
+    pixel = float(np.median(points[:, 2])) * np.sqrt(pixel_area)  # points are pixels' centres, things reach to edges
+    long, wide = max(first, second) + pixel, min(first, second) + pixel
     along = np.cos(angle) * x + np.sin(angle) * y
     across = np.cross(up, along)
-    top = max(float(np.percentile(height, 97)), LEAST_SIDE)
+    top = max(float(np.percentile(height, 97)), LEAST_HEIGHT)
     middle = (offset + [cx, cy]) @ np.stack([x, y]) + (proposal.floor + 0.5 * top) * up
     T_c_box = transform(np.stack([along, across, up], axis=1), middle)
     u = (points - middle) @ along / long + 0.5

@@ -138,9 +138,7 @@ def find_surfaces(points: Array, up: Array, rng: np.random.Generator) -> list[Su
 
 def _pipe(points: Array, up: Array, rng: np.random.Generator, least: float, headings: int = 36) -> Surface | None:
     """A cylinder about a horizontal axis, of which the camera sees the near side: circles through three points."""
-    x = np.cross(up, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    y = np.cross(up, x)
+    x, y = level_axes(up)
     some = points[rng.choice(len(points), min(600, len(points)), replace=False)]
     best: tuple[float, Array, Array, float] | None = None
     for heading in np.pi * np.arange(headings) / headings:
@@ -163,6 +161,13 @@ def _pipe(points: Array, up: Array, rng: np.random.Generator, least: float, head
     pipe = Surface(up, float(up @ center + radius), True, axis, center, radius)
     near = np.abs(pipe.height(points)) < 0.012
     return pipe if near.sum() >= least else None
+
+
+def level_axes(up: Array) -> tuple[Array, Array]:
+    """Two unit vectors (3,) at right angles to `up` and to each other: x × y = up."""
+    x = np.cross(np.eye(3)[np.abs(up).argmin()], up)
+    x /= np.linalg.norm(x)
+    return x, np.cross(up, x)
 
 
 def _circles(triples: Array) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from aerograsp_env.envs.detect_motion import camera_mount
 from aerograsp_env.sim.visual.objects import nominal_object
 from aerograsp_env.spatial import Array, matrix_from_rpy, transform
 from baselines.detection import PoseTrack, PoseTracker
+from baselines.detection.feature_model import FeatureModel
 
 FRAME = 0.1  # [s] between observations
 
@@ -60,6 +61,8 @@ class Track(NamedTuple):
     missed: int  # frames since
     label: str = ""  # class of `pose`
     pose: PoseTrack | None = None  # T_start_object
+    features: FeatureModel | None = None  # of this very thing, in the object's frame, where a policy learns them
+    learned: int = 0  # frames of `frames` when they were learned
 
 
 def associate(tracks: tuple[Track, ...], places: Array, gate: float) -> list[int]:
