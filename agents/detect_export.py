@@ -43,7 +43,7 @@ def export_onnx(
     import onnx
     import torch
 
-    from agents.detect_train_loop import load_detector
+    from agents.detect_torch import load_detector
     from agents.networks.detector import INPUTS, build
 
     out = Path(out)

@@ -23,18 +23,15 @@ from torch import Tensor
 from agents.checkpoint import DETECTOR_KIND, CheckpointError, load_checkpoint, save_checkpoint
 from agents.detect_assign import PADDING, Targets
 from agents.detect_augment import Frames, example
-from agents.detect_evaluate_scores import DetectorScores, Found, collect, score
-from agents.detect_input import network_input, suppress
+from agents.detect_evaluate_scores import DetectorScores, collect, score
 from agents.detect_loss import detection_loss
+from agents.detect_torch import DETECT, load_detector, torch_detector
 from agents.detect_train import BEST, LATEST, DetectTrainConfig
 from agents.detect_train_parallel import ALONE, Shard, share_gradients
 from agents.networks.detector import INPUTS, DetectorLayout, Network, build
 from agents.provenance import provenance
 
-DETECT = "aerograsp/Detect-v0"
 TRAINING_KIND = f"{DETECTOR_KIND}-training"  # a card's, of a run's whole state
-LEAST_SCORE, OVERLAP = 0.01, 0.6
-"""Of detections that are scored, and above which IoU the lesser of two is dropped."""
 
 
 class Training:
@@ -223,44 +220,16 @@ class Training:
         self.network.load_state_dict(_part(tensors, "network."))
         self.average.load_state_dict(_part(tensors, "average."))
         state: dict[int, dict[str, Tensor]] = {}
+        parameters = [value for group in self.optimizer.param_groups for value in group["params"]]
         for name, value in _part(tensors, "optimizer.").items():
             index, key = name.split(".")
-            state.setdefault(int(index), {})[key] = value
+            # The fused optimiser wants its state laid out in memory as the weights are: channels last.
+            placed = torch.empty_like(parameters[int(index)]).copy_(value) if value.ndim else value
+            state.setdefault(int(index), {})[key] = placed.detach()
         self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": state})
         self.step, self.curve, self.seconds = int(card["step"]), card["curve"], float(card["cpu_seconds"])
         self.initial = card.get("initial")
         self.card = {**card["best"], "curve": self.curve} if card["best"] else {}
-
-
-def load_detector(path: str | Path) -> tuple[DetectorLayout, dict[str, Tensor], dict[str, Any]]:
-    """Layout, weights and card of a trained network (not of a run's whole state).
-
-    Raises:
-        CheckpointError: no whole checkpoint of a detector.
-    """
-    checkpoint = load_checkpoint(path, DETECT)
-    if checkpoint.card.get("kind") != DETECTOR_KIND:
-        raise CheckpointError(f"{path}: expected a {DETECTOR_KIND}, got {checkpoint.card.get('kind')!r}")
-    try:
-        layout = DetectorLayout.from_card(checkpoint.card)
-    except ValueError as error:
-        raise CheckpointError(f"{path}: {error}") from None
-    return layout, {n: torch.from_numpy(np.array(v)) for n, v in checkpoint.tensors.items()}, checkpoint.card
-
-
-def torch_detector(network: Network, layout: DetectorLayout) -> Any:
-    """A function from a sample (rgb, depth) to what the network finds in it, down to low scores."""
-
-    def detect(sample: Any) -> Found:
-        height, width = sample.rgb.shape[:2]
-        size = (-(-height // 32) * 32, -(-width // 32) * 32)
-        image, placed = network_input(sample.rgb, sample.depth, size, INPUTS[layout.input])
-        with torch.no_grad():
-            boxes, scores = network.eval()(torch.from_numpy(image).to(memory_format=torch.channels_last))
-        inside = placed.to_image(boxes[0].numpy(), width, height)
-        return suppress(inside, scores[0].numpy(), LEAST_SCORE, OVERLAP)
-
-    return detect
 
 
 def _groups(network: Network, decay: float) -> list[dict[str, Any]]:
