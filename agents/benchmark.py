@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agents.arguments import Parser, add_env_kwargs, add_episodes, add_json, add_policy, add_seed, guarded
-from agents.bench_setup import DOCK, GRASP, GRASP_PLAN, REACH, SETUPS, Condition, Measured, Study, setup_of
+from agents.bench_setup import DETECT, DOCK, GRASP, GRASP_PLAN, REACH, SETUPS, Condition, Measured, Study, setup_of
 from agents.files import writable_folder, write_atomic, write_json
 from agents.policies import PolicyUnavailable, env_spec, spaces
 from agents.provenance import provenance
@@ -210,6 +210,10 @@ def main(argv: list[str]) -> int:
             rest.remove(GRASP_PLAN)
         elif any(env_id in rest for env_id in (REACH, GRASP)):
             from agents.speed_manipulation import main as speed_main
+        elif DETECT in rest:
+            from agents.camera_speed import main as speed_main
+
+            rest.remove(DETECT)
         else:
             from agents.speed import main as speed_main
         return speed_main([argument for argument in rest if argument != DOCK])

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from PIL import Image
 
+from aerograsp_env.cameras.image_files import DepthUnitError, read_color, read_depth
 from aerograsp_env.cameras.interface import Camera, CameraReport, read_intrinsics
 from aerograsp_env.cameras.layouts import Entry, Layout, read_pose, recognise, sized
 from aerograsp_env.interfaces import RGBD, Intrinsics
 
 _FIRST_TRIED = 10  # frames that may be bad before the first good one
-_PLAUSIBLE = (0.05, 60.0)  # [m] where the median of a depth picture lies, if its unit is right
 _GAP = 3.0  # median periods
-_NO_RETURN = 65535  # how 7-Scenes writes it, besides 0
 
 
 class DatasetCamera(Camera):
@@ -107,12 +103,13 @@ class DatasetCamera(Camera):
         fault: Exception | None = None
         for entry in self._entries[:_FIRST_TRIED]:
             try:
-                size = _picture(entry.color).shape[:2]
-                depth = _depth(entry.depth, self._unit)
+                size = read_color(entry.color).shape[:2]
+                read_depth(entry.depth, self._unit)
+            except DepthUnitError as error:
+                raise ValueError(f"{error} by depth_unit") from error
             except (OSError, ValueError) as error:
                 fault = fault or error
                 continue
-            _check_unit(depth, entry.depth, self._unit)
             if given is not None:
                 camera = read_intrinsics(given)
                 if (camera.height, camera.width) != size:
@@ -131,11 +128,10 @@ class DatasetCamera(Camera):
 
     def _load(self, entry: Entry) -> RGBD:
         size = (self._intrinsics.height, self._intrinsics.width)
-        rgb, depth = _picture(entry.color), _depth(entry.depth, self._unit)
+        rgb, depth = read_color(entry.color), read_depth(entry.depth, self._unit)
         for path, shape in ((entry.color, rgb.shape[:2]), (entry.depth, depth.shape)):
             if shape != size:
                 raise ValueError(f"{path.name}: expected {size[1]}×{size[0]} pixels, got {shape[1]}×{shape[0]}")
-        _check_unit(depth, entry.depth, self._unit)
         pose = read_pose(entry.pose) if isinstance(entry.pose, Path) else entry.pose
         return RGBD(rgb, depth, self._intrinsics, entry.stamp, pose)
 
@@ -146,42 +142,3 @@ def _gaps(stamps: list[float]) -> list[tuple[float, float]]:
         return []
     usual = float(np.median(periods))
     return [(stamps[i], stamps[i + 1]) for i in np.flatnonzero(periods > _GAP * max(usual, 1e-9))]
-
-
-def _open(path: Path) -> Image.Image:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            image = Image.open(path)
-            image.load()  # a truncated file is found out here
-    except FileNotFoundError as error:
-        raise FileNotFoundError(f"{path.name}: no such file") from error
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path.name}: expected a whole picture: {error}") from error
-    return image
-
-
-def _picture(path: Path) -> NDArray[np.uint8]:
-    """A colour picture (H, W, 3)."""
-    return np.asarray(_open(path).convert("RGB"))
-
-
-def _depth(path: Path, unit: float) -> NDArray[np.float32]:
-    """A depth picture (H, W) [m]."""
-    image = _open(path)
-    if image.mode not in ("I;16", "I;16B", "I"):
-        raise ValueError(f"{path.name}: expected a depth picture of 16 bits a pixel, got mode {image.mode}")
-    steps = np.asarray(image)
-    return np.where(steps >= _NO_RETURN, 0, steps).astype(np.float32) / np.float32(unit)
-
-
-def _check_unit(depth: NDArray[np.float32], path: Path, unit: float) -> None:
-    seen = depth[depth > 0]
-    if not seen.size:
-        return
-    middle = float(np.median(seen))
-    if not _PLAUSIBLE[0] <= middle <= _PLAUSIBLE[1]:
-        raise ValueError(
-            f"{path.name}: expected depths in steps of 1/{unit:g} m, but their median would be {middle:.3g} m: "
-            "set depth_unit"
-        )

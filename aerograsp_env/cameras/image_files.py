@@ -1,90 +1,80 @@
-"""Colour and depth images from files: whole, of a known kind and in metres, or refused with the file's name."""
+"""Colour and depth pictures from files: whole, of a known kind and in metres, or refused with the file's name."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-__all__ = ["ImageFileError", "read_color", "read_depth"]
+__all__ = ["DepthUnitError", "ImageFileError", "read_color", "read_depth"]
 
-FARTHEST = 50.0
-"""Depth [m] that half of an image's returns must not exceed: beyond it, its unit is not what was said."""
-NEAREST = 0.02
-"""Depth [m] that half of an image's returns must exceed, for the same reason."""
-INVALID = 65535
-"""What some cameras write where there is no return, besides 0 (16-bit images)."""
-PNG_END = b"IEND\xaeB`\x82"
-JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+PLAUSIBLE = (0.05, 60.0)
+"""Where the median [m] of a depth picture lies if its unit is right."""
+NO_RETURN = 65535
+"""What some cameras write where there is no return, besides 0 (16-bit pictures)."""
 
 
 class ImageFileError(ValueError):
-    """An image that cannot be used; the one line names the file, what was expected and what came."""
+    """A picture that cannot be used; the one line names the file, what was expected and what came."""
+
+
+class DepthUnitError(ImageFileError):
+    """A depth picture in another unit than it should be in."""
 
 
 def read_color(path: str | Path) -> NDArray[np.uint8]:
-    """A colour or grey image (H, W, 3) uint8, RGB; transparency is dropped, 16 bits become 8.
+    """A colour or grey picture as (H, W, 3) uint8, RGB; transparency is dropped.
 
     Raises:
         FileNotFoundError: no such file.
-        ImageFileError: not an image, or one that ends early.
+        ImageFileError: not a picture, or one that ends early.
     """
-    image = _decode(path, cv2.IMREAD_COLOR)
-    if image.dtype != np.uint8:
-        image = (image >> 8).astype(np.uint8) if image.dtype == np.uint16 else image
-    if image.dtype != np.uint8:
-        raise ImageFileError(f"{path}: expected 8 or 16 bits a channel, got {image.dtype}")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return np.asarray(_open(Path(path)).convert("RGB"))
 
 
-def read_depth(path: str | Path, scale: float = 1000.0) -> NDArray[np.float32]:
-    """A depth image (H, W) float32 [m], 0 where there is no return, from a 16-bit or float image of one channel.
+def read_depth(path: str | Path, unit: float = 1000.0) -> NDArray[np.float32]:
+    """A depth picture (H, W) float32 [m], 0 where there is no return.
 
     Args:
-        scale: units of a 16-bit image a metre: 1000 for millimetres, 5000 in TUM's data sets. Float images are metres.
+        path: a picture of one channel, 16 bits a pixel, or floats, which are metres.
+        unit: steps of a 16-bit picture a metre: 1000 for millimetres, 5000 in TUM's data sets.
 
     Raises:
         FileNotFoundError: no such file.
-        ImageFileError: not an image, one that ends early, of 8 bits or several channels, or in another unit: half of
-            its returns are nearer than 2 cm or farther than 50 m.
-        ValueError: a scale that is not positive.
+        ImageFileError: not a picture, one that ends early, or of another kind.
+        DepthUnitError: half of its returns are nearer than 5 cm, or farther than 60 m.
+        ValueError: a unit that is not positive.
     """
-    if not 0.0 < scale < np.inf:
-        raise ValueError(f"scale: expected a positive number of units a metre, got {scale}")
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
-    if image.ndim != 2:
-        raise ImageFileError(f"{path}: expected a depth image of one channel, got shape {image.shape}")
-    if image.dtype == np.uint16:
-        depth = np.where(image == INVALID, 0, image).astype(np.float32) / np.float32(scale)
-    elif image.dtype == np.float32:
-        depth = np.where(np.isfinite(image) & (image > 0.0), image, 0.0).astype(np.float32)
+    path = Path(path)
+    if not 0.0 < unit < np.inf:
+        raise ValueError(f"unit: expected a positive number of steps a metre, got {unit}")
+    image = _open(path)
+    values = np.asarray(image)
+    if image.mode == "F":
+        depth = np.where(np.isfinite(values) & (values > 0.0), values, 0.0).astype(np.float32)
+    elif image.mode in ("I;16", "I;16B", "I"):
+        depth = np.where(values >= NO_RETURN, 0, values).astype(np.float32) / np.float32(unit)
     else:
-        raise ImageFileError(f"{path}: expected a depth image of 16 bits or floats, got {image.dtype}")
+        raise ImageFileError(f"{path}: expected a depth picture of 16 bits a pixel, got mode {image.mode}")
     seen = depth[depth > 0.0]
-    if seen.size and not NEAREST <= (median := float(np.median(seen))) <= FARTHEST:
-        raise ImageFileError(
-            f"{path}: expected depths of {NEAREST:g} to {FARTHEST:g} m, got a median of {median:.4g} m: "
-            f"its unit is not 1/{scale:g} m"
+    if seen.size and not PLAUSIBLE[0] <= (median := float(np.median(seen))) <= PLAUSIBLE[1]:
+        raise DepthUnitError(
+            f"{path}: expected depths in steps of 1/{unit:g} m, but their median would be {median:.3g} m: set the unit"
         )
     return depth
 
 
-def _decode(path: str | Path, flags: int) -> NDArray[Any]:
-    code = Path(path).read_bytes()
-    # Decoders fill in what is missing from a file that was cut off, and say nothing.
-    cut = (code.startswith(b"\x89PNG") and PNG_END not in code[-64:]) or (
-        code.startswith(JPEG_START) and JPEG_END not in code[-4096:]
-    )
-    image = None
-    if code and not cut:
-        try:
-            image = cv2.imdecode(np.frombuffer(code, dtype=np.uint8), flags)
-        except cv2.error:  # OpenCV's own checks of a header
-            image = None
-    if image is None:
-        what = "an image that ends early" if cut else "none"
-        raise ImageFileError(f"{path}: expected a whole PNG, JPEG, TIFF or PGM image, got {what}")
+def _open(path: Path) -> Image.Image:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Pillow's doubts about sizes
+            image = Image.open(path)
+            image.load()  # a truncated file is found out here
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{path}: no such file") from error
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise ImageFileError(f"{path}: expected a whole picture: {error}") from error
     return image
