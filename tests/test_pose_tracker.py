@@ -119,17 +119,25 @@ def test_the_crawler_seen_from_a_moving_camera_does_not_flip() -> None:
     assert flips(poses) == 0 and flips(alone) > 0
 
 
-def test_particles_follow_too() -> None:
+def test_every_filter_makes_noisy_poses_better_and_they_agree() -> None:
+    errors: dict[str, list[tuple[float, float]]] = {"ekf": [], "ukf": [], "particle": [], "measured": []}
+    trackers = {
+        kind: PoseTracker(filter=kind, position_noise=0.02, rotation_noise=0.05)  # type: ignore[arg-type]
+        for kind in ("ekf", "ukf", "particle")
+    }
+    tracks = dict.fromkeys(trackers)
     rng = np.random.default_rng(2)
-    tracker, track = PoseTracker(filter="particle", rng=rng, position_noise=0.02, rotation_noise=0.05), None
-    errors = []
     for k in range(30):
         T = transform(so3_exp([0.0, 0.0, 0.03 * k]), [0.02 * k, 0.0, 1.0])
         seen = T @ se3_exp(np.concatenate([0.02 * rng.normal(size=3), 0.05 * rng.normal(size=3)]))
-        track = tracker.update(track, seen, 0.1 * k)
-        errors.append(pose_error(track.T, T))
-    angle, distance = np.median(errors[10:], axis=0)
-    assert angle < 6.0 and distance < 0.03
+        errors["measured"].append(pose_error(seen, T))
+        for kind, tracker in trackers.items():
+            tracks[kind] = tracker.update(tracks[kind], seen, 0.1 * k)
+            errors[kind].append(pose_error(tracks[kind].T, T))
+    late = {kind: np.mean(values[10:], axis=0) for kind, values in errors.items()}
+    np.testing.assert_allclose(late["ekf"], late["ukf"], rtol=1e-6)  # the model is linear in the tangent space
+    for kind in ("ekf", "particle"):
+        assert (late[kind] < late["measured"]).all() and np.allclose(late[kind], late["ekf"], rtol=0.2)
 
 
 def test_bad_input_is_named() -> None:

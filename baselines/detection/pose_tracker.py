@@ -10,11 +10,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.spatial import as_array, check_rotation, check_transform, skew, so3_exp, transform
 from baselines.detection.checks import check_positive
-from baselines.detection.tracking import constant_acceleration_model, nearest_symmetric, turn_between
-from baselines.filtering import Belief, ExtendedKalmanFilter, ParticleBelief, ParticleFilter, UnscentedKalmanFilter
+from baselines.detection.tracking import (
+    AxisBelief,
+    AxisParticleFilter,
+    constant_acceleration_model,
+    nearest_symmetric,
+    turn_between,
+)
+from baselines.filtering import Belief, ExtendedKalmanFilter, UnscentedKalmanFilter
 
 Array = NDArray[np.float64]
-Beliefs = Belief | ParticleBelief
+Beliefs = Belief | AxisBelief
 
 FIRST_SPEED, FIRST_ACCELERATION = 0.5, 0.5
 """Standard deviations of a new track's rates [m/s, rad/s] and accelerations [m/s², rad/s²], about zero."""
@@ -74,7 +80,7 @@ class PoseTracker:
         gate: probability in (0, 1); measurements outside that region of their prediction are left out. None: all taken.
         patience: after so many left out in a row, the next starts the track anew.
         rng: for the particle filter. None: the same noise for every tracker.
-        particles: of each of the two particle filters.
+        particles: of each of the six particle filters, one an axis of position and rotation.
 
     Raises:
         ValueError: an argument outside its range.
@@ -193,17 +199,15 @@ class PoseTracker:
 
     def _filters(self, noise: Array) -> tuple[Any, Any]:
         """One filter for the position, one for the rotation, with these measurement covariances."""
-        return tuple(
-            self._filter(constant_acceleration_model(jerk, noise[at, at]))
-            for jerk, at in zip(self.jerks, (slice(0, 3), slice(3, 6)), strict=True)
-        )
+        return self._filter(self.jerks[0], noise[:3, :3]), self._filter(self.jerks[1], noise[3:, 3:])
 
-    def _filter(self, model: Any) -> Any:
+    def _filter(self, jerk: float, noise: Array) -> Any:
+        if self.filter == "particle":
+            return AxisParticleFilter(jerk, noise, self.gate, self._rng, self.particles)
+        model = constant_acceleration_model(jerk, noise)
         if self.filter == "ekf":
             return ExtendedKalmanFilter(model, self.gate)
-        if self.filter == "ukf":
-            return UnscentedKalmanFilter(model, self.gate)
-        return ParticleFilter(model, self.gate, rng=self._rng, particles=self.particles)
+        return UnscentedKalmanFilter(model, self.gate)
 
 
 def _folded(track: PoseTrack) -> PoseTrack:
@@ -211,10 +215,8 @@ def _folded(track: PoseTrack) -> PoseTrack:
     mean = np.array(track.turn.mean[:3])
     R = so3_exp(mean) @ track.R
     turn: Beliefs
-    if isinstance(track.turn, ParticleBelief):
-        particles = track.turn.particles.copy()
-        particles[:, :3] -= mean
-        turn = ParticleBelief(particles, track.turn.weights, track.turn.innovation)
+    if isinstance(track.turn, AxisBelief):
+        turn = track.turn.shifted(mean)
     else:
         # exp(mean + e) = exp(J e) exp(mean) to first order: J is the left Jacobian, to second order in the mean.
         cross = skew(mean)
