@@ -141,7 +141,12 @@ def _placement(
     # Far zooms show nothing but the frame's own pixels and what lies around it.
     linear = linear * np.clip(scale, 0.8 * min(width / columns, height / rows), 3.0)
     target = (0.5 + rng.uniform(-spread, spread, 2)) * (width, height)
-    return linear, target - linear @ focus
+    shift = target - linear @ focus
+    # No more of the tile is left empty than must be: a frame larger than it covers it, a smaller one lies within.
+    corners = np.stack([shift, shift + linear @ (columns, rows)])
+    room = np.array([width, height]) - (corners.max(axis=0) - corners.min(axis=0))
+    low, high = np.minimum(room, 0.0), np.maximum(room, 0.0)
+    return linear, shift + np.clip(corners.min(axis=0), low, high) - corners.min(axis=0)
 
 
 def _draw(
