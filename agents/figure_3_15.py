@@ -176,7 +176,7 @@ def _picture(model: FeatureModel, frames: Sequence[RGBD], tracks: dict[str, Trac
         axes[5].semilogy(1e3 * np.where(np.isfinite(track.position), track.position, np.nan), ".-", lw=0.8, label=name)
     axes[5].axhline(1e3 * WITHIN, color="#888888", lw=0.8)
     axes[5].set(xlabel="frame", ylabel="position error [mm]")
-    axes[5].legend(frameon=False, fontsize=8)
+    axes[5].legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=1)
     return png(figure)
 
 

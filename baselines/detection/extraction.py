@@ -15,6 +15,7 @@ DETECTORS = ("sift", "orb", "fast", "shi-tomasi")
 DESCRIPTORS = ("sift", "orb", "brief", "rbrief")
 
 FAST_THRESHOLD = 10  # grey levels
+SIFT_CONTRAST = 0.02  # half of Lowe's: an object's faint features count, since the strongest n are taken anyhow
 CORNER_QUALITY, CORNER_SPACING = 0.01, 4.0  # share of the strongest corner's eigenvalue; [px]
 PATCH = 7.0  # [px] size of a keypoint of a detector without scale, as FAST's is
 NO_ANGLE = -1.0  # OpenCV's mark of a keypoint without direction
@@ -105,7 +106,7 @@ def extract(
 
 def _detect(gray: NDArray[np.uint8], detector: str, n: int, mask: NDArray[np.uint8] | None) -> list[cv2.KeyPoint]:
     if detector == "sift":
-        return list(cv2.SIFT.create(nfeatures=n).detect(gray, mask))
+        return list(cv2.SIFT.create(nfeatures=n, contrastThreshold=SIFT_CONTRAST).detect(gray, mask))
     if detector == "orb":
         return list(cv2.ORB.create(nfeatures=n).detect(gray, mask))
     if detector == "fast":

@@ -68,7 +68,7 @@ def learn_from_stereo(
     rig: StereoRig,
     feature: str = "sift",
     masks: Sequence[ArrayLike | None] | None = None,
-    n: int = 1000,
+    n: int = 1500,
     depth_range: tuple[float, float] = (0.1, 10.0),
     T_c_object: ArrayLike | None = None,
     name: str = "object",
@@ -92,7 +92,7 @@ def learn_from_rgbd(
     frames: Sequence[RGBD],
     feature: str = "sift",
     masks: Sequence[ArrayLike | None] | None = None,
-    n: int = 1000,
+    n: int = 1500,
     T_c_object: ArrayLike | None = None,
     name: str = "object",
 ) -> LearnedModel:

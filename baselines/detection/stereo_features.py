@@ -118,7 +118,7 @@ def stereo_features(
     right: ArrayLike,
     rig: StereoRig,
     feature: str | FeatureKind = "sift",
-    n: int = 1000,
+    n: int = 1500,
     mask: ArrayLike | None = None,
     ratio: float = 0.9,
     max_epipolar: float = 1.0,
@@ -162,7 +162,7 @@ def stereo_features(
 
 
 def rgbd_features(
-    frame: RGBD, feature: str | FeatureKind = "sift", n: int = 1000, mask: ArrayLike | None = None
+    frame: RGBD, feature: str | FeatureKind = "sift", n: int = 1500, mask: ArrayLike | None = None
 ) -> FrameFeatures:
     """Features of a colour image where there is depth; without a return at the nearest pixel they are left out."""
     found = extract(frame.rgb, feature, n, mask)
