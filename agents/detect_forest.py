@@ -43,7 +43,7 @@ def examples(seed: int) -> tuple[list[Array], list[str]]:
     rng = np.random.default_rng(seed)
     options = detect_options(level=LEVELS[seed % len(LEVELS)] if seed % 2 else "easy")
     sensor = Sensor(options)
-    scene = draw_scene(options, sensor, rng)
+    scene = draw_scene(options, rng)
     camera = sensor.intrinsics
     features, labels = [], []
     for _ in range(VIEWS):

@@ -20,7 +20,7 @@ from stable_baselines3.common.env_checker import check_env as sb3_check_env
 import aerograsp_env
 from aerograsp_env.envs.detect import DetectEnv
 from aerograsp_env.envs.detect_action import SLOTS
-from aerograsp_env.envs.detect_options import _options as detect_options
+from aerograsp_env.envs.detect_options import detect_options
 from aerograsp_env.envs.dock import DockAttachEnv, DockEnv
 from aerograsp_env.envs.dock_manipulate import DockManipulateEnv, dock_manipulate_task
 from aerograsp_env.envs.grasp import GraspEnv, grasp_task
@@ -268,7 +268,8 @@ def test_the_options_above_name_every_option_there_is():
         known = {*inspect.signature(env.__init__).parameters, *inspect.signature(task).parameters}
         assert known - {"self", "options"} - looks == {name for option in options for name in option}
     known = {*inspect.signature(DetectEnv.__init__).parameters, *inspect.signature(detect_options).parameters}
-    assert known - {"self", "options"} - looks == {name for option in DETECT_OPTIONS for name in option}
+    tested = {name for option in DETECT_OPTIONS for name in option} | {"mesh"}  # in test_detect_env
+    assert known - {"self", "options"} - looks == tested
     known = {*inspect.signature(GraspPlanEnv.__init__).parameters}
     assert known - {"self"} - looks == {name for options in PLAN_OPTIONS for name in options}
 
@@ -653,7 +654,7 @@ def test_the_documented_reward_table_is_the_rewards(env_id):
 def test_the_documented_options_exist(env_id):
     text = inspect.getdoc(CLASSES[DOCK if env_id in DOCKS else env_id])
     options = text[text.index("Options:") :]
-    names = set(re.findall(r"`(\w+)", options)) - {"aerograsp_env"}
+    names = set(re.findall(r"`(\w+)", options)) - {"aerograsp_env", "mesh"}
     assert names and names <= {key for option in OPTIONS[env_id] for key in option}
 
 
@@ -791,6 +792,8 @@ DETECT_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"level": "darc"}, ("level", "'dark'")),
     ({"labels": "hamer"}, ("labels", "'hammer'")),
     ({"labels": ()}, ("labels", "at least one")),
+    ({"mesh": "nowhere.obj"}, ("mesh", "labels=")),
+    ({"mesh": "nowhere.obj", "labels": "can"}, ("mesh", "nowhere.obj")),
     ({"motion": "orbits"}, ("motion", "'orbit'")),
     ({"sensors": "rgb"}, ("sensors", "'rgbd'")),
     ({"camera_backend": "rays"}, ("camera_backend", "'ray'")),

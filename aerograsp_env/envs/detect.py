@@ -16,7 +16,7 @@ from aerograsp_env.envs.detect_options import DetectOptions, check_start, detect
 from aerograsp_env.envs.detect_outcome import Outcome
 from aerograsp_env.envs.detect_scene import Look, SeenScene, Sensor, draw_scene
 from aerograsp_env.envs.detect_view import draw_detections
-from aerograsp_env.envs.options import REWARD_MODES, check_action, choose
+from aerograsp_env.envs.options import REWARD_MODES, built, check_action, choose
 from aerograsp_env.interfaces import Detection
 from aerograsp_env.metrics import TrueObject
 from aerograsp_env.sim.flight import Flight
@@ -106,10 +106,11 @@ class DetectEnv(gymnasium.Env):
     jumps (how often an object's reported rotation jumped by more than 30° between frames). What nothing defines yet is
     left out.
 
-    Options: `level="easy"|"cluttered"|"dark"|"blurred"`, `labels` (which classes there are), `mesh` (a file or folder
-    of an object to look at besides), `motion="any"|"hover"|"pass"|"orbit"`, `sensors="rgbd"|"stereo"`,
-    `camera_backend="ray"|"gl"`, `camera_config` (image size, field of view, noise), `wind`, `randomize` (the vehicle,
-    and the scene's looks), `reward_mode`, `render_mode`.
+    Options: `level="easy"|"cluttered"|"dark"|"blurred"`, `labels` (which classes there are), `mesh` (a file, or a YCB
+    folder: what the objects of the one class in `labels` are), `motion="any"|"hover"|"pass"|"orbit"`,
+    `sensors="rgbd"|"stereo"`, `camera_backend="ray"|"gl"`, `camera_config` (image size, field of view, noise), `wind`,
+    `randomize` (masses, rotors, gains and sensors of the vehicle; scenes, looks and lights are always drawn),
+    `reward_mode`, `render_mode`.
     """
 
     metadata = {"render_modes": list(RENDER_MODES), "render_fps": round(1.0 / FRAME)}  # noqa: RUF012  Gymnasium's way
@@ -126,7 +127,7 @@ class DetectEnv(gymnasium.Env):
         self.render_mode = None if render_mode is None else choose("render_mode", render_mode, RENDER_MODES)
         check_picture(width, height, prefix="render_")
         self._picture = (width, height)
-        self.options: DetectOptions = detect_options(**options)
+        self.options: DetectOptions = built(detect_options, options)
         self._sensor = Sensor(self.options)
         self.observation_space = self._sensor.space
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)
@@ -184,7 +185,7 @@ class DetectEnv(gymnasium.Env):
         given = check_start(options)
         super().reset(seed=seed)
         rng, motion = self.np_random, given.pop("motion", self.options.motion)
-        self._scene = draw_scene(self.options, self._sensor, rng)
+        self._scene = draw_scene(self.options, rng)
         for _ in range(VIEWS):
             self._start = draw_start(motion, self._scene.target(rng), FRAMES * FRAME, rng)
             self._flight.reset(rng, given)

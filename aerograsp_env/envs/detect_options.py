@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +16,8 @@ from aerograsp_env.sim.manipulation.config import ManipulationRandomizeConfig
 from aerograsp_env.sim.rendering import BACKENDS
 from aerograsp_env.sim.rgbd_camera import RGBDCameraConfig
 from aerograsp_env.sim.visual import CLASSES
+from aerograsp_env.sim.visual.mesh_files import object_from_mesh
+from aerograsp_env.sim.visual.objects import VisualObject
 from aerograsp_env.sim.visual.scenes import LEVELS
 from aerograsp_env.sim.wind import WIND_LEVELS, WindConfig
 
@@ -33,31 +33,15 @@ class DetectOptions:
 
     level: str
     labels: tuple[str, ...]
-    mesh: str | None
+    mesh: VisualObject | None  # what objects are instead of random ones of the one label
     motion: str
     sensors: str
     camera: RGBDCameraConfig
     wind: WindConfig
-    randomize: bool  # the scenes' looks
     vehicle: ManipulationRandomizeConfig | None  # what of the vehicle is drawn per episode
 
 
-def detect_options(**given: Any) -> DetectOptions:
-    """The options by name.
-
-    Raises:
-        ValueError: an unknown option or value, naming the nearest and listing the known.
-    """
-    known = list(inspect.signature(_options).parameters)
-    for name in given:
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"unknown option {name!r}{hint}; options: {', '.join(known)}")
-    return _options(**given)
-
-
-def _options(
+def detect_options(
     *,
     level: str = "easy",
     labels: Sequence[str] | str | None = None,
@@ -69,22 +53,25 @@ def _options(
     wind: str | WindConfig | dict = "light",
     randomize: bool | ManipulationRandomizeConfig | dict = False,
 ) -> DetectOptions:
+    """The options by name.
+
+    Raises:
+        ValueError: a value that is not valid, naming the nearest that is.
+    """
     if isinstance(randomize, bool | np.bool_):
         vehicle = ManipulationRandomizeConfig() if randomize else None
     else:
         vehicle = instance("randomize", randomize, ManipulationRandomizeConfig)
-    if mesh is not None and not Path(mesh).exists():
-        raise ValueError(f"mesh: no such file or folder: {mesh}")
+    names = _labels(labels)
     chosen = choose("level", level, LEVELS)
     return DetectOptions(
         level=chosen,
-        labels=_labels(labels),
-        mesh=None if mesh is None else str(mesh),
+        labels=names,
+        mesh=None if mesh is None else _mesh(mesh, names),
         motion=choose("motion", motion, MOTIONS),
         sensors=choose("sensors", sensors, SENSORS),
         camera=_camera(camera_config, choose("camera_backend", camera_backend, BACKENDS), chosen),
         wind=instance("wind", wind, WindConfig, WIND_LEVELS),
-        randomize=vehicle is not None,
         vehicle=vehicle,
     )
 
@@ -96,6 +83,14 @@ def _labels(labels: Sequence[str] | str | None) -> tuple[str, ...]:
     if not names:
         raise ValueError(f"labels: expected at least one of {', '.join(CLASSES)}, got none")
     return tuple(dict.fromkeys(choose("labels", name, CLASSES) for name in names))
+
+
+def _mesh(path: str | Path, labels: tuple[str, ...]) -> VisualObject:
+    if len(labels) != 1:
+        raise ValueError(f"mesh: expected labels= with the one class that it counts as, got {len(labels)} labels")
+    if not Path(path).exists():
+        raise ValueError(f"mesh: no such file or folder: {path}")
+    return object_from_mesh(path, labels[0])
 
 
 def _camera(config: RGBDCameraConfig | dict | None, backend: str, level: str) -> RGBDCameraConfig:

@@ -117,7 +117,8 @@ class SeenScene:
         self._camera.close()
 
 
-def draw_scene(options: DetectOptions, sensor: Sensor, rng: np.random.Generator) -> SeenScene:
+def draw_scene(options: DetectOptions, rng: np.random.Generator) -> SeenScene:
     """A new scene."""
-    config = SceneConfig(level=options.level, labels=options.labels)
-    return SeenScene(make_scene(config, rng), options)
+    mesh = options.mesh
+    maker = None if mesh is None else lambda label, rng: mesh
+    return SeenScene(make_scene(SceneConfig(level=options.level, labels=options.labels), rng, maker), options)
