@@ -14,8 +14,8 @@ from agents.networks.detector_ssd import BoxOutput, Ssd, encode
 from agents.networks.detector_two_stage import StagesOutput, TwoStage, centered
 from agents.networks.detector_yolo import BINS, DenseOutput
 
-CLASS, BOX, SIDES = 0.5, 7.5, 1.5
-"""Weights of the dense head's three terms."""
+CLASS, BOX, SIDES = 1.0, 2.5, 0.5
+"""Weights of the dense head's three terms (Xu et al. 2022, PP-YOLOE)."""
 NEGATIVES = 3
 """Default boxes of background that are counted for each one of an object: the hardest (Liu et al. 2016)."""
 REGIONS, JITTER = 32, 0.15
