@@ -21,13 +21,20 @@ JERK, ANGULAR_JERK = 0.05, 0.2  # of things at rest, seen from where the vehicle
 POSITION_NOISE, ROTATION_NOISE = 0.012, 0.25  # of one frame's pose [m], [rad]
 
 
+ALIKE = ("juice_box", "box", "fruit", "wrench")
+"""Classes whose shape hardly tells a half turn about their axes: a track keeps to the one that it took first."""
+HALF_TURNS = np.array([np.diag(signs) for signs in ([1.0, 1, 1], [1.0, -1, -1], [-1.0, 1, -1], [-1.0, -1, 1])])
+
+
 @functools.cache
 def tracker_of(label: str) -> PoseTracker:
     """The filter of a class's poses: constant acceleration, symmetric poses brought next to the prediction."""
+    turns = nominal_object(label).symmetries
+    if label in ALIKE:
+        turns = (HALF_TURNS[:, None] @ turns).reshape(-1, 3, 3)
     return PoseTracker(
-        nominal_object(label).symmetries, jerk=JERK, angular_jerk=ANGULAR_JERK, position_noise=POSITION_NOISE,
-        rotation_noise=ROTATION_NOISE,
-    )  # fmt: skip
+        turns, jerk=JERK, angular_jerk=ANGULAR_JERK, position_noise=POSITION_NOISE, rotation_noise=ROTATION_NOISE
+    )
 
 
 class Odometry(NamedTuple):
