@@ -804,7 +804,7 @@ DETECT_REFUSALS: list[tuple[dict[str, Any], tuple[str, ...]]] = [
     ({"randomize": "yes"}, ("randomize", "ManipulationRandomizeConfig")),
     ({"level ": "dark"}, ("level ", "did you mean 'level'")),
     ({"reward_mode": "spars"}, ("reward_mode", "'sparse'")),
-    ({"render_mode": "human"}, ("render_mode", "'rgb_array'")),
+    ({"render_mode": "rgb"}, ("render_mode", "'rgb_array'")),
     ({"width": 0}, ("width",)),
 ]
 
