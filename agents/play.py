@@ -114,8 +114,8 @@ def _picture_options(kwargs: Mapping[str, Any]) -> set[str]:
 
 def _takes(env_id: str, option: str) -> bool:
     """Whether the environment has an option of this name for its pictures."""
-    creator = env_spec(env_id).entry_point
-    creator = load_env_creator(creator) if isinstance(creator, str) else creator
+    entry_point = env_spec(env_id).entry_point
+    creator: Any = load_env_creator(entry_point) if isinstance(entry_point, str) else entry_point
     return creator is not None and option in inspect.signature(creator).parameters
 
 
