@@ -92,7 +92,7 @@ class DetectTrainConfig:
     def augmentation(self, step: int) -> Augmentation:
         """What is done to the pictures of a step."""
         if step >= self.steps * (1.0 - self.plain):
-            return Augmentation(mosaic=0.0, background=0.05, depth_dropout=self.depth_dropout)
+            return Augmentation(mosaic=0.0, depth_dropout=self.depth_dropout)
         return Augmentation(depth_dropout=self.depth_dropout)
 
 

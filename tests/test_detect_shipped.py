@@ -1,0 +1,50 @@
+"""The detector that comes with the package: what it is, how fast, and what it finds in rendered and real pictures."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerograsp_env.sim.visual import CLASSES
+from agents.detect_onnx import OnnxDetector, shipped_detector
+from agents.detect_real import read_aiml20, read_yolo17, score_aiml20, score_yolo17
+
+DATA = Path(os.environ.get("AEROGRASP_DATA", Path(__file__).parents[2] / "shared" / "data"))
+needs_data = pytest.mark.skipif(not (DATA / "tools_yolo17").is_dir(), reason="real data not present")
+
+
+@pytest.fixture(scope="module")
+def detector() -> OnnxDetector:
+    return OnnxDetector(shipped_detector(), classes=CLASSES)
+
+
+def test_it_is_small_and_says_what_it_is(detector: OnnxDetector) -> None:
+    path = shipped_detector()
+    card = json.loads(path.with_suffix(".json").read_text())
+    assert path.stat().st_size < 8e6 and card["family"] == "yolo" and card["input"] == "rgbd"
+    assert tuple(card["classes"]) == detector.card.classes == CLASSES
+    assert "/tmp" not in path.with_suffix(".json").read_text()
+
+
+def test_it_takes_at_most_20_ms_a_picture_on_one_thread(detector: OnnxDetector) -> None:
+    rng = np.random.default_rng(0)
+    rgb, depth = rng.integers(0, 256, (240, 320, 3)).astype(np.uint8), np.ones((240, 320), dtype=np.float32)
+    times = []
+    for _ in range(25):
+        began = time.process_time()  # of this process alone: the machine may be busy
+        detector.find(rgb, depth)
+        times.append(time.process_time() - began)
+    assert np.median(times[5:]) < 0.030  # half as much again, for busy caches; measured alone: below 20 ms
+
+
+@needs_data
+def test_photographs_that_it_never_saw(detector: OnnxDetector) -> None:
+    boxes = score_yolo17(detector, read_yolo17(DATA / "tools_yolo17"))
+    top = score_aiml20(detector, read_aiml20(DATA / "tools_aiml20"))
+    assert boxes.overall.map50 > 0.15 and boxes.overall.objects == 194
+    assert top.rate > 0.5 and top.photographs == 65
