@@ -160,7 +160,7 @@ SETUPS: dict[str, Setup] = {
         conditions={level: {"level": level} for level in ("easy", "cluttered", "dark", "blurred")},
         quick_options={"max_episode_steps": 10},
         quick_episodes=5,
-        quick_rows=(*TRIVIAL, "clusters+icp", "cnn+icp"),
+        quick_rows=(*TRIVIAL, "clusters+icp"),
     ),
 }
 
