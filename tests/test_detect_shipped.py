@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from aerograsp_env.sim.visual import CLASSES
@@ -29,17 +27,6 @@ def test_it_is_small_and_says_what_it_is(detector: OnnxDetector) -> None:
     assert path.stat().st_size < 8e6 and card["family"] == "yolo" and card["input"] == "rgbd"
     assert tuple(card["classes"]) == detector.card.classes == CLASSES
     assert "/tmp" not in path.with_suffix(".json").read_text()
-
-
-def test_it_takes_at_most_20_ms_a_picture_on_one_thread(detector: OnnxDetector) -> None:
-    rng = np.random.default_rng(0)
-    rgb, depth = rng.integers(0, 256, (240, 320, 3)).astype(np.uint8), np.ones((240, 320), dtype=np.float32)
-    times = []
-    for _ in range(25):
-        began = time.process_time()  # of this process alone: the machine may be busy
-        detector.find(rgb, depth)
-        times.append(time.process_time() - began)
-    assert np.median(times[5:]) < 0.030  # half as much again, for busy caches; measured alone: below 20 ms
 
 
 @needs_data
