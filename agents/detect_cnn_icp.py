@@ -34,8 +34,9 @@ Observation = Mapping[str, NDArray[Any]]
 
 ALIGNED = 3
 """Objects whose poses are measured in each frame: new ones first, then those that waited longest."""
-FOUND, REPORTED = 0.2, 0.35
-"""Least score of a detection that is followed, and of a track that is reported."""
+FOUND, REPORTED = 0.35, 0.55
+"""Least score of a detection that is followed, and of a track that is reported, over the detector's own threshold: what
+lasts from frame to frame needs less evidence in each."""
 KEEP = 0.8
 """Weight of a track's score so far in each new frame."""
 LEAST_IOU = 0.2
@@ -110,12 +111,13 @@ class CnnPolicy:
         frame = seen_frame(observation)
         tracks = self._follow(frame, () if before is None else before.tracks)
         tracks = self._measure(frame, tracks, T_start_camera, stamp)
-        found = [detection for track in tracks if (detection := _report(track, T_start_camera)) is not None]
+        least = REPORTED * self.detector.threshold
+        found = [detection for track in tracks if (detection := _report(track, T_start_camera, least)) is not None]
         return detections_to_action(found, frame.intrinsics), RowState(odometry, tracks, stamp)
 
     def _follow(self, frame: RGBD, tracks: Sequence[Track]) -> tuple[Track, ...]:
         """The tracks with this frame's boxes, new ones among them."""
-        boxes, scores, labels = self.detector.find(frame.rgb, frame.depth, FOUND)
+        boxes, scores, labels = self.detector.find(frame.rgb, frame.depth, FOUND * self.detector.threshold)
         inside = (boxes[:, :2] < (frame.intrinsics.width - 2, frame.intrinsics.height - 2)).all(axis=1)
         boxes, scores, labels = boxes[inside], scores[inside], labels[inside]
         boxes, evidence = _merged(boxes, scores, labels)
@@ -191,9 +193,9 @@ def _merged(boxes: Array, scores: Array, labels: NDArray[np.int64]) -> tuple[Arr
     return np.asarray(boxes)[kept].reshape(-1, 4), np.reshape(evidence, (-1, len(CLASSES)))
 
 
-def _report(track: Track, T_start_camera: Array) -> Detection | None:
+def _report(track: Track, T_start_camera: Array, least: float) -> Detection | None:
     score = float(track.scores.max())
-    if track.missed or score < REPORTED:
+    if track.missed or score < least:
         return None
     label = CLASSES[int(track.scores.argmax())]
     T = None

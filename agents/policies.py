@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 NAMESPACE = "aerograsp/"
 CHECKPOINTS = Path(__file__).parent / "checkpoints"
 TRIVIAL = ("zero", "random")
+MIXED = {"aerograsp/Detect-v0": {"cnn+icp": "agents.detect_cnn_icp:cnn_icp"}}
+"""Policies in which a network has a part: by id, name → "module:factory"."""
 LEARNED = ("ppo", "ppo-residual", "sac", "sac-her", "sac-residual", "learned")
 
 
@@ -76,10 +78,10 @@ def option_errors(spec: EnvSpec) -> Iterator[None]:
 
 
 def registered_policies(env_id: str) -> dict[str, str]:
-    """The analytic policies of an id: name → "module:factory"; empty for ids of other projects."""
+    """The analytic and the mixed policies of an id: name → "module:factory"; empty for ids of other projects."""
     from baselines.policies import POLICIES
 
-    return dict(POLICIES.get(env_id, {}))
+    return {**POLICIES.get(env_id, {}), **MIXED.get(env_id, {})}
 
 
 def policy_names(env_id: str) -> list[str]:

@@ -11,10 +11,13 @@ from aerograsp_env.envs.detect import DetectEnv
 from aerograsp_env.envs.detect_action import ACTION_SIZE, action_to_detections, observed_intrinsics
 from aerograsp_env.sim.visual import CLASSES
 from agents.detect_cnn_icp import MISSED, CnnPolicy, _merged
+from agents.policies import load_policy
 
 
 class Boxes:
     """A detector that knows the true boxes of a world."""
+
+    threshold = 0.3
 
     def __init__(self) -> None:
         self.world: Any = None
@@ -83,6 +86,10 @@ def test_state_is_never_changed_and_rows_do_not_mix(flown: Any) -> None:
     np.testing.assert_array_equal(batch[0], single)
     np.testing.assert_array_equal(batch[1], fresh)
     assert states[2][0].stamp == pytest.approx(0.1) and after[0].stamp == pytest.approx(0.2)
+
+
+def test_it_is_known_by_name() -> None:
+    assert isinstance(load_policy("aerograsp/Detect-v0", "cnn+icp"), CnnPolicy)
 
 
 def test_boxes_of_several_classes_on_one_thing_are_one() -> None:
