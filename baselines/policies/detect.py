@@ -4,7 +4,7 @@
 colours; the class's nominal shape, stretched to the cluster and aligned to it by ICP (section 3.3); class and pose are
 followed from frame to frame, with what the vehicle's attitude and velocity estimates say of the camera's way.
 
-`features+pnp`: the same, but once a thing was seen for some frames its own image features give its pose, by PnP.
+`features+pnp`: the same, but once a thing was seen for some frames its own image features give its rotation, by PnP.
 
 `oracle-truth` reports what the simulator knows.
 """
@@ -25,7 +25,7 @@ from baselines.policies.detect_features import in_start, learn, locate
 from baselines.policies.detect_pose import fit_pose
 from baselines.policies.detect_proposals import Proposal, find_proposals
 from baselines.policies.detect_recognition import NAMES, NOTHING, Forest, shipped
-from baselines.policies.detect_tracks import Odometry, Track, associate, tracker_of
+from baselines.policies.detect_tracks import POSITION_NOISE, Odometry, Track, associate, tracker_of
 
 Observation = Mapping[str, NDArray[Any]]
 
@@ -33,7 +33,7 @@ GATE = 0.08  # [m] that a thing's middle may move between frames
 FORGET = 0.85  # weight of the evidence so far in each new frame
 MISSED = 6  # frames after which a track is dropped
 LEAST_SCORE = 0.35  # of what is reported
-SETTLED, RELEARN, FEW = 3, 5, 10  # frames before features are learned, and between two learnings; inliers that are few
+SETTLED, RELEARN, FEW = 8, 5, 10  # frames before features are learned, and between two learnings; inliers that are few
 
 
 class RowState(NamedTuple):
@@ -159,8 +159,9 @@ def seen_frame(observation: Observation) -> RGBD:
 class FeaturePolicy(ClusterPolicy):
     """Clusters, recognised and first posed as by `ClusterPolicy`; then each thing's own features say how it moves.
 
-    From the first frames that show a thing its features are lifted to points by their depth. Later frames are matched
-    with them, and the pose is found by PnP (thesis, section 3.4): independent of how much of the shape is seen.
+    After some frames that show a thing its features are lifted to points by their depth. Later frames are matched
+    with them, and the rotation is found by PnP (thesis, section 3.4): it does not depend on a shape that may look the
+    same from several sides. The place stays that of the cluster.
     """
 
     def _pose(self, track: Track, sight: Sight) -> Track:
@@ -170,9 +171,14 @@ class FeaturePolicy(ClusterPolicy):
             found = locate(track.features, sight.frame, sight.proposal.box, guess)
         if found is None:
             track = super()._pose(track, sight)
-        else:
-            T, covariance = sight.T_start_camera @ found.T_c_object, in_start(found.covariance, sight.T_start_camera)
-            track = track._replace(pose=tracker_of(track.label).update(track.pose, T, sight.stamp, covariance))
+        else:  # of small things PnP tells the rotation well, the distance badly
+            seen = found.T_c_object.copy()
+            seen[:3, 3] = fit_pose(track.label, sight.proposal, sight.description).T_c_object[:3, 3]
+            covariance = in_start(found.covariance, sight.T_start_camera)
+            covariance[:3], covariance[:, :3] = 0.0, 0.0
+            covariance[:3, :3] = POSITION_NOISE**2 * np.eye(3)
+            pose = tracker_of(track.label).update(track.pose, sight.T_start_camera @ seen, sight.stamp, covariance)
+            track = track._replace(pose=pose)
         few = found is None or found.inliers < FEW
         if few and (track.features is None or track.frames - track.learned >= RELEARN) and track.frames >= SETTLED:
             assert track.pose is not None
