@@ -9,8 +9,8 @@ symmetric pose nearest to its prediction, so that symmetric objects do not flip.
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +28,8 @@ from baselines.policies.detect import seen_frame
 from baselines.policies.detect_descriptors import describe
 from baselines.policies.detect_pose import fit_pose
 from baselines.policies.detect_proposals import Proposal, find_proposals
+from baselines.policies.detect_rows import Observation, act_by_rows
 from baselines.policies.detect_tracks import FRAME, Odometry
-
-Observation = Mapping[str, NDArray[Any]]
 
 ALIGNED = 3
 """Objects whose poses are measured in each frame: new ones first, then those that waited longest."""
@@ -91,18 +90,7 @@ class CnnPolicy:
     ) -> tuple[NDArray[np.float32], tuple[RowState | None, ...]]:
         """(action, state): action (184,) or (N, 184) float32 in [−1, 1]."""
         del deterministic
-        batched = np.ndim(observation["rgb"]) == 4
-        count = len(observation["rgb"]) if batched else 1
-        rows = [{name: value[k] for name, value in observation.items()} for k in range(count)]
-        if not batched:
-            rows = [dict(observation)]
-        before = list(state) if state is not None else [None] * count
-        if episode_start is not None:
-            fresh = np.broadcast_to(np.asarray(episode_start, dtype=bool), (count,))
-            before = [None if new else old for new, old in zip(fresh, before, strict=True)]
-        results = [self._act(row, old) for row, old in zip(rows, before, strict=True)]
-        actions = np.stack([action for action, _ in results])
-        return (actions if batched else actions[0]), tuple(new for _, new in results)
+        return act_by_rows(self._act, observation, state, episode_start)
 
     def _act(self, observation: Observation, before: RowState | None) -> tuple[NDArray[np.float32], RowState]:
         odometry = Odometry.begin() if before is None else before.odometry

@@ -13,7 +13,6 @@ import json
 import os
 import platform
 import re
-import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -21,6 +20,8 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Literal
+
+from aerograsp_env.own_process import fault_of
 
 Status = Literal["ok", "warning", "missing"]
 
@@ -37,7 +38,6 @@ _MODULES = {  # where not the package's name
     "pycollada": "collada",
     "scikit-learn": "sklearn",
 }
-_TIMEOUT = 60.0  # [s] for one trial
 _COMPILE_TIMEOUT = 300.0  # [s] for the kernel, which is compiled on its first use
 
 _IMPORT = "import importlib, sys; importlib.import_module(sys.argv[1])"
@@ -141,7 +141,7 @@ def _package(requirement: tuple[str, str, str]) -> Check:
         return Check(name, bad, f"{version} is too old: {remedy}")
     if extra == "dev":  # programs that run beside this one: their presence is enough
         return Check(name, "ok", version)
-    failure = _try(_IMPORT, _MODULES.get(package, package.replace("-", "_")))
+    failure = fault_of(_IMPORT, _MODULES.get(package, package.replace("-", "_")))
     return Check(name, bad, f"{version} does not import: {failure}") if failure else Check(name, "ok", version)
 
 
@@ -152,7 +152,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 def _kernel() -> Check:
     start = time.perf_counter()
-    failure = _try(_KERNEL, seconds=_COMPILE_TIMEOUT)
+    failure = fault_of(_KERNEL, seconds=_COMPILE_TIMEOUT)
     if failure is None:
         return Check(
             "compiled kernel", "ok", f"one docking step, compiled or from cache, in {time.perf_counter() - start:.0f} s"
@@ -163,7 +163,7 @@ def _kernel() -> Check:
 
 
 def _renderer(backend: str, gl: str) -> Check:
-    failure = _try(_RENDER, backend, MUJOCO_GL=gl)
+    failure = fault_of(_RENDER, backend, MUJOCO_GL=gl)
     if backend == "ray":
         return Check("renderer ray", "missing" if failure else "ok", failure or "needs no OpenGL; the default")
     name = f"renderer gl, {gl}"
@@ -204,30 +204,6 @@ def _display() -> Check:
         if os.environ.get(name):
             return Check("display", "ok", f"{name}={os.environ[name]}")
     return Check("display", "warning", "none; only render_mode='human' needs one")
-
-
-def _try(program: str, *arguments: str, seconds: float = _TIMEOUT, **environment: str) -> str | None:
-    """Run a Python program in a process of its own; None if it ends well, else one line that says why not."""
-    command = [sys.executable, "-c", program, *arguments]
-    try:
-        done = subprocess.run(
-            command,
-            env={**os.environ, **environment},
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=seconds,
-        )
-    except subprocess.TimeoutExpired:
-        return f"no answer within {seconds:g} s"
-    except OSError as error:
-        return str(error)
-    if done.returncode == 0:
-        return None
-    if done.returncode < 0:
-        return f"crashed with signal {-done.returncode}"
-    errors = re.findall(r"^[\w.]*(?:Error|Exception|Interrupt|Exit|NotFound)\b.*$", done.stderr, flags=re.MULTILINE)
-    return (errors or done.stderr.split("\n")[-2:-1] or [f"exit status {done.returncode}"])[-1][:400]
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from aerograsp_env.own_process import fault_of
 from agents import doctor
 from agents.doctor import Check
 
@@ -84,12 +85,12 @@ def test_packages_that_are_absent_old_or_broken():
 
 
 def test_trials_report_errors_crashes_and_hangs_in_one_line():
-    assert doctor._try("pass") is None
-    assert doctor._try("raise ValueError('what is wrong')") == "ValueError: what is wrong"
-    assert doctor._try("import sys; sys.exit(7)") == "exit status 7"
+    assert fault_of("pass") is None
+    assert fault_of("raise ValueError('what is wrong')") == "ValueError: what is wrong"
+    assert fault_of("import sys; sys.exit(7)") == "exit status 7"
     if os.name == "posix":
-        assert doctor._try("import os; os.abort()") == "crashed with signal 6"
-    assert doctor._try("import time; time.sleep(30)", seconds=0.3) == "no answer within 0.3 s"
+        assert fault_of("import os; os.abort()") == "crashed with signal 6"
+    assert fault_of("import time; time.sleep(30)", seconds=0.3) == "no answer within 0.3 s"
 
 
 def test_a_wrong_mujoco_gl_does_not_stop_it():

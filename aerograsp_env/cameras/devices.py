@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import abstractmethod
 from pathlib import Path
 from typing import Any
 
@@ -50,11 +51,13 @@ class _Device(Camera):
             self._open = False
             self._release()
 
+    @abstractmethod
     def _grab(self) -> RGBD | None:
-        raise NotImplementedError
+        """The next frame; None if there was none in time."""
 
+    @abstractmethod
     def _release(self) -> None:
-        raise NotImplementedError
+        """Free the device; called once."""
 
 
 class UVCCamera(_Device):

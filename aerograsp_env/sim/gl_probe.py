@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import re
-import subprocess
-import sys
+
+from aerograsp_env.own_process import fault_of
 
 _PROGRAM = """
 import mujoco
@@ -16,7 +15,6 @@ mujoco.mj_forward(model, data)
 picture = make_renderer(model, 32, 24, "gl").render(data, FreeCamera())
 assert picture[12, 16, 0] > 2 * picture[12, 16, 2], f"a red ball came out as {picture[12, 16]}"
 """
-_TIMEOUT = 60.0  # [s]
 
 
 @functools.cache
@@ -25,17 +23,4 @@ def gl_fault() -> str | None:
 
     The first call takes a few seconds; its answer is kept.
     """
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", _PROGRAM], capture_output=True, text=True, errors="replace", timeout=_TIMEOUT
-        )
-    except subprocess.TimeoutExpired:
-        return f"no answer within {_TIMEOUT:g} s"
-    except OSError as error:
-        return str(error)
-    if done.returncode == 0:
-        return None
-    if done.returncode < 0:
-        return f"crashed with signal {-done.returncode}"
-    errors = re.findall(r"^[\w.]*(?:Error|Exception)\b.*$", done.stderr, flags=re.MULTILINE)
-    return (errors or done.stderr.split("\n")[-2:-1] or [f"exit status {done.returncode}"])[-1][:600]
+    return fault_of(_PROGRAM)

@@ -11,7 +11,7 @@ followed from frame to frame, with what the vehicle's attitude and velocity esti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +25,8 @@ from baselines.policies.detect_features import in_start, learn, locate
 from baselines.policies.detect_pose import fit_pose
 from baselines.policies.detect_proposals import Proposal, find_proposals
 from baselines.policies.detect_recognition import NAMES, NOTHING, Forest, shipped
+from baselines.policies.detect_rows import Observation, act_by_rows, rows_of
 from baselines.policies.detect_tracks import POSITION_NOISE, Odometry, Track, associate, tracker_of
-
-Observation = Mapping[str, NDArray[Any]]
 
 GATE = 0.08  # [m] that a thing's middle may move between frames
 FORGET = 0.85  # weight of the evidence so far in each new frame
@@ -68,15 +67,7 @@ class ClusterPolicy:
     ) -> tuple[NDArray[np.float32], tuple[RowState | None, ...]]:
         """(action, state): action (184,) or (N, 184) float32 in [−1, 1]."""
         del deterministic
-        batched = np.ndim(observation["rgb"]) == 4
-        rows = _rows(observation) if batched else [observation]
-        before = list(state) if state is not None else [None] * len(rows)
-        if episode_start is not None:
-            fresh = np.broadcast_to(np.asarray(episode_start, dtype=bool), (len(rows),))
-            before = [None if new else old for new, old in zip(fresh, before, strict=True)]
-        results = [self._act(row, old) for row, old in zip(rows, before, strict=True)]
-        actions = np.stack([action for action, _ in results])
-        return (actions if batched else actions[0]), tuple(new for _, new in results)
+        return act_by_rows(self._act, observation, state, episode_start)
 
     def _act(self, observation: Observation, before: RowState | None) -> tuple[NDArray[np.float32], RowState]:
         odometry = Odometry.begin() if before is None else before.odometry
@@ -132,10 +123,6 @@ def _best(track: Track) -> tuple[str, float]:
     p /= p.sum()
     best = int(p[: NAMES.index(NOTHING)].argmax())
     return NAMES[best], float(p[best])
-
-
-def _rows(observation: Observation) -> list[Observation]:
-    return [{name: value[row] for name, value in observation.items()} for row in range(len(observation["rgb"]))]
 
 
 def seen_frame(observation: Observation) -> RGBD:
@@ -221,8 +208,7 @@ class TruthOracle:
         Raises:
             ValueError: not told of as many worlds as there are rows.
         """
-        batched = np.ndim(observation["rgb"]) == 4
-        rows = _rows(observation) if batched else [observation]
+        rows, batched = rows_of(observation)
         if len(self._worlds) != len(rows):
             raise ValueError(f"watch: expected to be told of {len(rows)} worlds, was told of {len(self._worlds)}")
         actions = []
