@@ -26,6 +26,7 @@ from agents.aim_features import NAMES
 from agents.arguments import INTERRUPTED, Parser, add_json
 from agents.bench_setup import GRASP
 from agents.checkpoint import AIM_KIND, save_checkpoint
+from agents.config_checks import check_numbers
 from agents.files import to_json, writable_folder, write_json
 from agents.policies import UnknownName
 from agents.provenance import provenance
@@ -61,17 +62,7 @@ class AimConfig:
             raise ValueError(f"episodes: expected at most {SPAN}, got {self.episodes}")
         if isinstance(self.seed, int) and self.seed >= len(TRAIN_SEEDS) // SPAN:
             raise ValueError(f"seed: expected less than {len(TRAIN_SEEDS) // SPAN}, got {self.seed}")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("level", "hidden"):
-                continue
-            whole = isinstance(field.default, int)
-            least = 0 if field.name in ("seed", "weight_decay") else 1 if whole else 1e-12
-            fits = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-            if not fits or not least <= value < 2**32:
-                raise ValueError(
-                    f"{field.name}: expected a {'whole ' * whole}number of at least {least}, got {value!r}"
-                )
+        check_numbers(self, skip=("level", "hidden"))
 
 
 def train_aim(

@@ -14,15 +14,11 @@ and ends with the same bytes; a folder can be read while it grows.
 from __future__ import annotations
 
 import argparse
-import concurrent.futures
 import contextlib
 import io
 import json
-import multiprocessing
-import os
 import shlex
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +28,7 @@ from PIL import Image
 from aerograsp_env.sim.visual import CLASSES
 from agents.detect_samples import VERSION, DetectDataset, Sample, read_json
 from agents.files import dumps, to_json, writable_folder, write_atomic
+from agents.workers import run_jobs
 
 __all__ = ["SPLITS", "DetectDataset", "Sample", "main", "write_dataset"]
 
@@ -98,7 +95,7 @@ def write_dataset(
     bar = tqdm(total=images, initial=min(done, images), desc=f"{split} pictures", unit="image")
     bar.disable = bar.disable or not progress
     with bar, (folder / "labels.jsonl").open("a", encoding="utf-8") as lines:
-        for rows in _run(jobs, workers):
+        for rows in run_jobs(draw_rows, jobs, workers):
             lines.write("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in rows))
             lines.flush()
             bar.update(len(rows))
@@ -140,25 +137,6 @@ def _resume(folder: Path, card: dict[str, Any], block: int) -> int:
     whole = len(rows) // block * block
     write_atomic(labels, "".join(row + "\n" for row in rows[:whole]))
     return whole
-
-
-def _run(jobs: list[tuple[Any, ...]], workers: int) -> Iterator[list[dict[str, Any]]]:
-    """The blocks' rows, in order."""
-    if workers == 1:
-        for job in jobs:
-            yield draw_rows(*job)
-        return
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read by the workers, which start afresh
-        os.environ.setdefault(variable, "1")
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(draw_rows, *job) for job in jobs]
-        try:
-            for future in futures:
-                yield future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def draw_rows(

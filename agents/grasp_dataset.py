@@ -6,13 +6,9 @@ was interrupted. Block b of a set starts at its first seed + b · `BLOCK`.
 
 from __future__ import annotations
 
-import concurrent.futures
 import io
-import multiprocessing
-import os
 import zipfile
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +17,7 @@ from numpy.typing import NDArray
 
 from agents.bench_setup import GRASP_PLAN
 from agents.files import writable_folder, write_atomic
+from agents.workers import run_jobs
 
 BLOCK = 25  # views a file
 VERSION = 1
@@ -76,31 +73,13 @@ def collect(
     bar = tqdm(total=len(jobs), initial=len(jobs) - len(todo), desc=f"{objects}: blocks of {BLOCK} views", unit="block")
     bar.disable = bar.disable or not progress
     with bar:
-        for path in _run(todo, workers):
+        for path in run_jobs(label_block, todo, workers):
             found[path] = read_block(path)
             bar.update()
     parts = [part for part in found.values() if part is not None]
     if len(parts) < len(jobs):
         raise OSError(f"{folder}: expected {len(jobs)} blocks of labels, {len(jobs) - len(parts)} cannot be read back")
     return Labelled.joined(parts)
-
-
-def _run(jobs: list[tuple[Path, str, int, int]], workers: int) -> Iterator[Path]:
-    if workers == 1:
-        for job in jobs:
-            yield label_block(*job)
-        return
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read by the workers, which start afresh
-        os.environ.setdefault(variable, "1")
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, mp_context=context) as pool:
-        futures = [pool.submit(label_block, *job) for job in jobs]
-        try:
-            for future in concurrent.futures.as_completed(futures):
-                yield future.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
 
 
 def label_block(path: Path, objects: str, first_seed: int, grasps: int) -> Path:

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from agents.arguments import INTERRUPTED, Parser, add_json
+from agents.config_checks import check_numbers
 from agents.files import writable_folder, write_json
 from agents.grasp_dataset import GRASP_PLAN, collect
 from agents.seeds import TRAIN_SEED, VALIDATION_SEED
@@ -40,15 +41,7 @@ class GraspTrainConfig:
     seed: int = 0  # of the network and of the order; the labels are the same for all
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            whole = isinstance(field.default, int)
-            least = 0 if field.name in ("seed", "weight_decay") else 1 if whole else 1e-12
-            fits = isinstance(value, int if whole else int | float) and not isinstance(value, bool)
-            if not fits or not least <= value < 2**32:
-                raise ValueError(
-                    f"{field.name}: expected a {'whole ' * whole}number of at least {least}, got {value!r}"
-                )
+        check_numbers(self)
 
 
 def train_scorer(
