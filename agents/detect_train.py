@@ -41,13 +41,16 @@ class DetectTrainConfig:
     averaging: float = 0.999  # decay of the exponential moving average of the weights
     plain: float = 0.12  # last share of the steps, without mosaics
     depth_dropout: float = 0.5  # share of the pictures that the network sees without depth
+    balance: float = 0.5  # how much more often pictures of rare classes are shown: power of the ratio of frequencies
     validate_every: int = 1000  # steps
     validation_images: int = 300
     seed: int = 0
 
     def __post_init__(self) -> None:
-        least = {"learning_rate": 1e-9, "weight_decay": 0.0, "averaging": 0.0, "plain": 0.0, "depth_dropout": 0.0}
+        least = {"learning_rate": 1e-9, "weight_decay": 0.0, "averaging": 0.0, "plain": 0.0}
+        least |= {"depth_dropout": 0.0, "balance": 0.0}
         most = {"averaging": 0.999999, "plain": 1.0, "depth_dropout": 1.0, "learning_rate": 1.0, "weight_decay": 1.0}
+        most |= {"balance": 1.0}
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(field.default, str):

@@ -24,6 +24,7 @@ from agents.checkpoint import DETECTOR_KIND, CheckpointError, load_checkpoint, s
 from agents.detect_assign import PADDING, Targets
 from agents.detect_augment import Frames, example
 from agents.detect_evaluate_scores import DetectorScores, collect, score
+from agents.detect_frames import FrameCache, Repeated, repeats
 from agents.detect_loss import detection_loss
 from agents.detect_torch import DETECT, load_detector, torch_detector
 from agents.detect_train import BEST, LATEST, DetectTrainConfig
@@ -40,7 +41,7 @@ class Training:
     Args:
         config: the options.
         layout: of the network.
-        frames: the training pictures.
+        cache: the training pictures.
         held_out: validation samples, an `agents.detect_dataset.DetectDataset`.
         folder: of the run.
         command: what to record in the card.
@@ -51,7 +52,7 @@ class Training:
         self,
         config: DetectTrainConfig,
         layout: DetectorLayout,
-        frames: Frames,
+        cache: FrameCache,
         held_out: Any,
         folder: Path,
         command: list[str],
@@ -60,8 +61,10 @@ class Training:
         cv2.setNumThreads(1)
         torch.set_num_threads(1)  # two threads on a busy machine are slower by an order of magnitude
         torch.manual_seed(config.seed)
-        self.config, self.layout, self.frames, self.held_out, self.folder = config, layout, frames, held_out, folder
-        self.shard = shard
+        self.config, self.layout, self.held_out, self.folder = config, layout, held_out, folder
+        self.pictures, self.shard = len(cache), shard
+        times = repeats(cache.presence(len(layout.classes)), config.balance)
+        self.frames: Frames = Repeated(cache, times)
         self.network = build(layout).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = copy.deepcopy(self.network).eval().requires_grad_(False)
         self.optimizer = torch.optim.AdamW(
@@ -185,7 +188,7 @@ class Training:
             "kind": DETECTOR_KIND,
             "layout": asdict(self.layout),
             "training": asdict(self.config),
-            "pictures": len(self.frames),
+            "pictures": self.pictures,
             "step": self.step,
             "curve": self.curve,
             "provenance": self._facts,
@@ -212,7 +215,7 @@ class Training:
         card = checkpoint.card
         if card.get("kind") != TRAINING_KIND:
             raise CheckpointError(f"{path}: expected a {TRAINING_KIND}, got {card.get('kind')!r}")
-        wanted = {**asdict(self.config), "pictures": len(self.frames), "classes": list(self.layout.classes)}
+        wanted = {**asdict(self.config), "pictures": self.pictures, "classes": list(self.layout.classes)}
         had = {**card["training"], "pictures": card["pictures"], "classes": list(card["layout"]["classes"])}
         if different := [name for name, value in wanted.items() if had.get(name) != value]:
             raise CheckpointError(f"{path}: expected a run with the same options, got another {', '.join(different)}")

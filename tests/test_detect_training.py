@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from agents.detect_evaluate import evaluate
 from agents.detect_evaluate import main as evaluate_main
 from agents.detect_evaluate_scores import Labelled, score, without_difficult
 from agents.detect_export import export_onnx
-from agents.detect_frames import FrameCache
+from agents.detect_frames import FrameCache, Repeated, repeats
 from agents.detect_onnx import DetectorFileError, OnnxDetector
 from agents.detect_train import BEST, LATEST, DetectTrainConfig, main, train_detector
 from agents.detect_train_loop import Training
@@ -211,3 +212,14 @@ def test_export_refuses_odd_sizes_and_names(trained: Path, tmp_path: Path) -> No
         export_onnx(trained / BEST, tmp_path / "x.onnx", (240, 320))
     with pytest.raises(CheckpointError, match="expected a detector, got 'detector-training'"):
         export_onnx(trained / LATEST, tmp_path / "x.onnx")
+
+
+def test_pictures_of_rare_classes_are_shown_more_often() -> None:
+    presence = np.array([[True, False]] * 15 + [[True, True], [False, False]] + [[True, False]] * 3)
+    times = repeats(presence, 0.5)
+    share = presence.mean(axis=0)
+    assert times[15] == pytest.approx(np.sqrt(share[0] / share[1]))
+    assert (np.delete(times, 15) == 1.0).all() and (repeats(presence, 0.0) == 1.0).all()
+    shown = Repeated([f"frame {i}" for i in range(20)], times)  # type: ignore[arg-type]
+    counts = Counter(shown[i] for i in range(len(shown)))
+    assert abs(counts["frame 15"] - times[15]) < 1.0 and len(shown) == round(times.sum()) and len(counts) == 20
