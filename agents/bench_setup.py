@@ -158,9 +158,12 @@ SETUPS: dict[str, Setup] = {
         episodes=25,
         learned=(),
         conditions={level: {"level": level} for level in ("easy", "cluttered", "dark", "blurred")},
+        filmed=("easy", "cluttered", "dark", "blurred"),
         quick_options={"max_episode_steps": 10},
         quick_episodes=5,
-        quick_rows=(*TRIVIAL, "clusters+icp"),
+        quick_rows=(*TRIVIAL, "clusters+icp", "cnn+icp"),
+        film_episodes=0,
+        study="agents.detect_report:study",
     ),
 }
 

@@ -40,15 +40,17 @@ def reference(rows: Sequence[Row], env_id: str) -> Row | None:
     return found or scoring(rows).best(list(by_name.values()))
 
 
-def choose(conditions: Mapping[str, Condition], env_id: str) -> list[Shot]:
-    """The best and the worst episode of the reference policy under these conditions, by `Scoring.goodness`.
+def choose(conditions: Mapping[str, Condition], env_id: str, policy: str | None = None) -> list[Shot]:
+    """The best and the worst episode of a policy under these conditions, by `Scoring.goodness`.
 
-    Of equals the first counts. One shot where all are alike, none without a reference.
+    Of equals the first counts. One shot where all are alike, none where the policy did not run. By default it is the
+    reference policy.
     """
     episodes: list[tuple[tuple[float, ...], str, int]] = []
     rows: dict[str, Row] = {}
     for name, condition in conditions.items():
-        if (row := reference(condition.rows, env_id)) is None:
+        ran = {row.policy: row for row in condition.rows if row.values}
+        if (row := reference(condition.rows, env_id) if policy is None else ran.get(policy)) is None:
             continue
         rows[name] = row
         order = np.stack([goodness(row, scoring([row]), *pair) for pair in scoring([row]).goodness], axis=-1)
@@ -111,15 +113,18 @@ def film(env_id: str, policy: str, seed: int, env_kwargs: Mapping[str, Any], sec
     return data
 
 
-def films_section(measured: Measured) -> list[str]:
-    """The films as parts of the page; none where the id draws no pictures or they cannot be drawn here."""
+def films_section(measured: Measured, policy: str | None = None) -> list[str]:
+    """The films of a policy, the reference one by default, as parts of the page.
+
+    None where the id draws no pictures or they cannot be drawn here.
+    """
     setup = setup_of(measured.env_id)
     filmed = {name: of for name, of in measured.conditions.items() if name in setup.filmed}
     filmed = filmed or dict(list(measured.conditions.items())[:1])
     if not draws_pictures(measured.env_id, measured.env_kwargs):
         return []
     parts = []
-    for shot in choose(filmed, measured.env_id):
+    for shot in choose(filmed, measured.env_id, policy):
         seed = measured.seed + shot.number
         where = f"{shot.condition}, " if shot.condition else ""
         try:
@@ -134,4 +139,5 @@ def films_section(measured: Measured) -> list[str]:
         parts.append(page.film_figure(data, caption))
     if not parts:
         return []
-    return ["<h2>Best and worst episode</h2>", '<div class="films">', *parts, "</div>"]
+    of = f" of {policy}" if policy else ""
+    return [f"<h2>Best and worst episode{page.text(of)}</h2>", '<div class="films">', *parts, "</div>"]
