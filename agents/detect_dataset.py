@@ -15,17 +15,22 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import hashlib
 import io
 import json
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from aerograsp_env.sim.visual import CLASSES
+from aerograsp_env.sim.visual.mesh_files import mesh_file, object_from_mesh
+from aerograsp_env.sim.visual.objects import VisualObject
 from agents.detect_samples import VERSION, DetectDataset, Sample, read_json
 from agents.files import dumps, to_json, writable_folder, write_atomic
 from agents.workers import run_jobs
@@ -50,6 +55,7 @@ def write_dataset(
     workers: int = 1,
     progress: bool = False,
     command: str | None = None,
+    meshes: Mapping[str, str | Path] = MappingProxyType({}),
 ) -> Path:
     """Render `images` pictures into the folder `out`, or those that are missing; returns the folder.
 
@@ -61,8 +67,10 @@ def write_dataset(
         workers: processes.
         progress: a bar, if standard error is a terminal.
         command: kept in the card.
+        meshes: class → a mesh file or a YCB object's folder: what the class's objects are instead of random ones.
 
     Raises:
+        FileNotFoundError: no such mesh.
         ValueError: a number out of range, an unknown split, or a folder that holds another data set.
         OSError: the folder cannot be written.
     """
@@ -80,16 +88,19 @@ def write_dataset(
         "seed": seed,
         "randomize": randomize,
         "intrinsics": _intrinsics(size),
+        "meshes": {label: hashlib.sha256(mesh_file(path).read_bytes()).hexdigest() for label, path in meshes.items()},
         "images": images,
         "command": command,
     }
+    objects = {label: object_from_mesh(path, label) for label, path in meshes.items()}
     done = _resume(folder, card, BLOCK)
     for name in ("rgb", "depth"):
         (folder / name).mkdir(exist_ok=True)
     write_atomic(folder / "card.json", dumps(card))
     first = SPLITS[split] + seed * SEED_STEP
     jobs = [
-        (folder, block * BLOCK, min(images - block * BLOCK, BLOCK), first + block * ARRANGEMENTS, size, randomize)
+        (folder, block * BLOCK, min(images - block * BLOCK, BLOCK), first + block * ARRANGEMENTS)
+        + (size, randomize, objects)
         for block in range(done // BLOCK, -(-images // BLOCK))
     ]
     bar = tqdm(total=images, initial=min(done, images), desc=f"{split} pictures", unit="image")
@@ -127,8 +138,8 @@ def _resume(folder: Path, card: dict[str, Any], block: int) -> int:
     path = folder / "card.json"
     if path.exists():
         old = read_json(path)
-        for name in ("version", "classes", "size", "split", "seed", "randomize"):
-            if old.get(name) != card[name]:
+        for name in ("version", "classes", "size", "split", "seed", "randomize", "meshes"):
+            if old.get(name, {}) != card[name]:
                 raise ValueError(f"out: {folder} holds another data set: {name} {old.get(name)!r}, not {card[name]!r}")
     labels = folder / "labels.jsonl"
     if not labels.exists():
@@ -140,13 +151,19 @@ def _resume(folder: Path, card: dict[str, Any], block: int) -> int:
 
 
 def draw_rows(
-    folder: Path, start: int, count: int, scene_seed: int, size: tuple[int, int], randomize: bool
+    folder: Path,
+    start: int,
+    count: int,
+    scene_seed: int,
+    size: tuple[int, int],
+    randomize: bool,
+    meshes: Mapping[str, VisualObject],
 ) -> list[dict[str, Any]]:
     """Draw a block, write its first `count` pictures as number `start` and on, and return their labels' rows."""
     from agents.detect_pictures import draw_block
 
     rows = []
-    for number, picture in enumerate(draw_block(scene_seed, size, randomize)[:count], start):
+    for number, picture in enumerate(draw_block(scene_seed, size, randomize, meshes)[:count], start):
         frame, truths = picture.frame, picture.truths
         buffer = io.BytesIO()
         Image.fromarray(frame.rgb).save(buffer, "JPEG", quality=QUALITY)
@@ -184,7 +201,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-randomize", action="store_true", help="nominal shapes, fixed looks, one light, plain grounds"
     )
+    parser.add_argument(
+        "--mesh",
+        action="append",
+        default=[],
+        metavar="CLASS=FILE",
+        help="draw this mesh (or YCB object's folder) where the class is drawn, in its own colours; repeatable",
+    )
     parser.add_argument("--workers", type=int, default=1, help="processes (default %(default)s)")
+
+
+def _meshes(given: Sequence[str]) -> dict[str, str]:
+    pairs = [text.partition("=") for text in given]
+    if wrong := [label + sign + path for label, sign, path in pairs if label not in CLASSES or not path]:
+        raise ValueError(f"--mesh: expected CLASS=FILE with one of {', '.join(CLASSES)}, got {wrong[0]!r}")
+    return {label: path for label, _, path in pairs}
 
 
 def run(args: argparse.Namespace, command: str | None = None) -> int:
@@ -192,7 +223,7 @@ def run(args: argparse.Namespace, command: str | None = None) -> int:
     try:
         folder = write_dataset(
             *(args.out, args.images, args.seed, args.split, (args.size[0], args.size[1]), not args.no_randomize),
-            *(args.workers, True, command),
+            *(args.workers, True, command, _meshes(args.mesh)),
         )
     except KeyboardInterrupt:
         with contextlib.suppress(OSError, ValueError):

@@ -8,6 +8,8 @@ close and mostly from above like photographs of tools, and "aerial", as a vehicl
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import cv2
@@ -44,27 +46,36 @@ class Picture(NamedTuple):
     scene_seed: int
 
 
-def draw_block(scene_seed: int, size: tuple[int, int] = (320, 240), randomize: bool = True) -> list[Picture]:
+def draw_block(
+    scene_seed: int,
+    size: tuple[int, int] = (320, 240),
+    randomize: bool = True,
+    meshes: Mapping[str, VisualObject] = MappingProxyType({}),
+) -> list[Picture]:
     """The `BLOCK` pictures of the scenes `scene_seed`, `scene_seed` + 1, … (`ARRANGEMENTS` of them).
 
     Args:
         size: width and height [px].
         randomize: off for nominal shapes, fixed looks, one light and plain grounds.
+        meshes: what the objects of a class are instead of random ones; they keep their colours.
     """
     rng = np.random.default_rng([scene_seed, 1])
     studio = bool(rng.random() < STUDIO)
     labels = TOOLS if studio and rng.random() < 0.85 else CLASSES
     count = int(rng.integers(5, 9))
     chosen = [str(label) for label in rng.choice(labels, count)]
-    pool = [random_object(label, rng) if randomize else nominal_object(label) for label in chosen]
+    pool = [
+        meshes.get(label) or (random_object(label, rng) if randomize else nominal_object(label)) for label in chosen
+    ]
+    own = frozenset(meshes)
     pictures = []
     for seed in range(scene_seed, scene_seed + ARRANGEMENTS):
-        pictures += _draw_scene(seed, pool, "studio" if studio else "aerial", size, randomize)
+        pictures += _draw_scene(seed, pool, "studio" if studio else "aerial", size, randomize, own)
     return pictures
 
 
 def _draw_scene(
-    seed: int, pool: list[VisualObject], style: str, size: tuple[int, int], randomize: bool
+    seed: int, pool: list[VisualObject], style: str, size: tuple[int, int], randomize: bool, own: frozenset[str]
 ) -> list[Picture]:
     rng = np.random.default_rng(seed)
     names = [item.label for item in pool]
@@ -75,7 +86,7 @@ def _draw_scene(
     def pick(label: str, generator: np.random.Generator) -> VisualObject:
         same = [item for item in pool if item.label == label]
         item = same[int(generator.integers(len(same)))]
-        return recolored(item, generator) if randomize else item
+        return recolored(item, generator) if randomize and label not in own else item
 
     scene = make_scene(config, rng, pick)
     scene_model: SceneModel = scene.model()

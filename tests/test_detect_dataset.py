@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 import agents.detect_pictures as pictures
 from aerograsp_env.sim.visual import CLASSES
+from aerograsp_env.sim.visual.mesh_files import object_from_mesh
 from agents.detect_dataset import SEED_STEP, SEEDS, SPLITS, DetectDataset, main, write_dataset
 
 SIZE = (64, 48)
@@ -202,3 +204,24 @@ def test_damaged_cards(copy: Path, tmp_path: Path) -> None:
         (copy / "card.json").write_text(text)
         with pytest.raises(ValueError, match=rf"card\.json: .*{said}"):
             DetectDataset(copy)
+
+
+def test_a_mesh_takes_the_place_of_a_class(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    block = trimesh.creation.box((0.1, 0.06, 0.2))
+    block.visual.face_colors = (255, 0, 255, 255)
+    block.export(tmp_path / "block.ply")
+    made = {label: object_from_mesh(tmp_path / "block.ply", label) for label in CLASSES}
+    for picture in pictures.draw_block(5, SIZE, meshes=made):
+        for truth in picture.truths:
+            corners = made[truth.label].vertices @ truth.T_c_object[:3, :3].T + truth.T_c_object[:3, 3]
+            camera = picture.frame.intrinsics
+            pixels = corners[:, :2] / corners[:, 2:] * (camera.fx, camera.fy) + (camera.cx + 0.5, camera.cy + 0.5)
+            low, high = truth.box[:2], truth.box[2:]
+            assert (pixels.min(axis=0) <= low + 1.0).all() and (pixels.max(axis=0) >= high - 1.0).all()
+    out, mesh = tmp_path / "set", f"box={tmp_path / 'block.ply'}"
+    assert main(["--out", str(out), "--images", "1", "--size", "64", "48", "--mesh", mesh]) == 0
+    with pytest.raises(ValueError, match="holds another data set: meshes"):
+        main(["--out", str(out), "--images", "1", "--size", "64", "48"])
+    with pytest.raises(ValueError, match=r"--mesh: expected CLASS=FILE with one of .*, got 'cow=x.ply'"):
+        main(["--out", str(out), "--mesh", "cow=x.ply"])
+    capsys.readouterr()
