@@ -20,7 +20,7 @@ import numpy as np
 
 from agents.arguments import Parser, add_json, positive_int
 from agents.detect_evaluate_page import evaluation_page
-from agents.detect_evaluate_scores import DetectorScores, Found, collect, score
+from agents.detect_evaluate_scores import ClassScores, DetectorScores, Found, collect, score, score_by_size
 from agents.detect_onnx import OnnxDetector
 from agents.files import write_atomic, write_json
 from agents.provenance import provenance
@@ -36,6 +36,7 @@ class Evaluation(NamedTuple):
 
     name: str
     scores: DetectorScores
+    by_size: dict[str, ClassScores]
     milliseconds: float  # median of a picture, from pixels to boxes, on one thread
     card: dict[str, Any]  # family, input, size and parameters
 
@@ -48,6 +49,7 @@ class Evaluation(NamedTuple):
             "images": self.scores.images,
             "threshold": self.scores.threshold,
             "overall": self.scores.overall._asdict(),
+            "by_size": {name: row._asdict() for name, row in self.by_size.items()},
             "per_class": {name: row._asdict() for name, row in self.scores.per_class.items()},
         }
 
@@ -76,9 +78,10 @@ def evaluate(path: str | Path, dataset: Any, depth: bool = True, images: int | N
 
     detections, truths = collect(find, _with_bar(dataset, count))
     scores = score(detections, truths, dataset.classes, detector.threshold)
+    by_size = score_by_size(detections, truths, dataset.classes, detector.threshold)
     timed = times[10 : 10 + TIMED] or times
     name = Path(path).stem + ("" if depth or detector.card.input == "rgb" else " without depth")
-    return Evaluation(name, scores, 1e3 * float(np.median(timed)), detector.facts())
+    return Evaluation(name, scores, by_size, 1e3 * float(np.median(timed)), detector.facts())
 
 
 def _with_bar(dataset: Any, count: int) -> Iterable[Any]:
@@ -124,6 +127,10 @@ def table(results: Sequence[Evaluation]) -> str:
             f"{result.name:<32} {row.map50:6.3f} {row.map75:7.3f} {row.recall:6.3f} | "
             f"{row.precision:27.3f} {row.operating_recall:6.3f} | {result.milliseconds:4.1f}"
         )
+        lines += [
+            f"{'  ' + size:<32} {row.map50:6.3f} {row.map75:7.3f} {row.recall:6.3f} | {row.objects:>26} objects"
+            for size, row in result.by_size.items()
+        ]
     return "\n".join(lines)
 
 

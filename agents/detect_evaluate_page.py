@@ -45,7 +45,7 @@ def evaluation_page(
     )
     parts = [lead, "<h2>Detectors</h2>", _comparison(results)]
     for result in results:
-        parts += [f"<h2>{text(result.name)}, by class</h2>", _classes(result)]
+        parts += [f"<h2>{text(result.name)}, by class and by size</h2>", _classes(result)]
     parts += ["<h2>Examples</h2>", _examples(example, dataset, depth)]
     parts += ["<h2>Where this comes from</h2>", facts({k: v for k, v in source.items() if k != "versions"})]
     return page("Detectors", parts)
@@ -74,10 +74,10 @@ def _comparison(results: Sequence[Evaluation]) -> str:
 
 
 def _classes(result: Evaluation) -> str:
-    head = ("class", "mAP@0.5", "mAP@0.75", "recall", "precision*", "recall*", "objects")
+    head = ("class, or side of the box", "mAP@0.5", "mAP@0.75", "recall", "precision*", "recall*", "objects")
     rows = [
         table_row([text(name), *(f"{value:.3f}" for value in row[:5]), str(row.objects)])
-        for name, row in result.scores.per_class.items()
+        for name, row in (result.scores.per_class | result.by_size).items()
     ]
     return table(head, rows)
 

@@ -14,6 +14,10 @@ Found = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
 """Boxes (K, 4) xyxy [px], scores (K,) and classes (K,) in one picture."""
 
 
+SIZES = {"below 24 px": (0.0, 24.0), "24 to 48 px": (24.0, 48.0), "48 px and more": (48.0, np.inf)}
+"""Ranges of the square root of a box's area [px]."""
+
+
 class Labelled(NamedTuple):
     """What is true of one picture."""
 
@@ -112,6 +116,29 @@ def score(
     return DetectorScores(overall, per_class, float(threshold), len(truths))
 
 
+def score_by_size(
+    detections: Sequence[Found], truths: Sequence[Labelled], classes: Sequence[str], threshold: float
+) -> dict[str, ClassScores]:
+    """`score` over objects of each range of `SIZES` alone; a range without objects is left out.
+
+    Objects of other sizes are difficult in it, and detections of other sizes that find no object of the range do not
+    count (as in the COCO evaluation).
+    """
+    found = {}
+    for name, (low, high) in SIZES.items():
+        kept, mine = [], []
+        for (boxes, scores, labels), truth in zip(detections, truths, strict=True):
+            there = (side := _sides(truth.boxes)) >= low
+            truth = truth._replace(difficult=truth.difficult | ~(there & (side < high)))
+            iou = box_iou(boxes, truth.boxes) * (labels[:, None] == truth.labels[None]) * ~truth.difficult[None]
+            fits = (iou >= 0.5).any(axis=1) | ((_sides(boxes) >= low) & (_sides(boxes) < high))
+            kept.append((boxes[fits], scores[fits], labels[fits]))
+            mine.append(truth)
+        if any(not truth.difficult.all() for truth in mine):
+            found[name] = score(kept, mine, classes, threshold).overall
+    return found
+
+
 def collect(detect: Callable[[Any], Found], samples: Iterable[Any]) -> tuple[list[Found], list[Labelled]]:
     """Run `detect` on samples of a data set."""
     detections, truths = [], []
@@ -125,6 +152,10 @@ def collect(detect: Callable[[Any], Found], samples: Iterable[Any]) -> tuple[lis
             )
         )
     return detections, truths
+
+
+def _sides(boxes: NDArray) -> NDArray[np.float64]:
+    return np.sqrt(np.prod(np.asarray(boxes, dtype=np.float64)[:, 2:] - boxes[:, :2], axis=1))
 
 
 def _of_classes(truth: tuple[NDArray, NDArray], which: list[int]) -> tuple[NDArray, NDArray]:

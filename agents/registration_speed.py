@@ -1,7 +1,7 @@
 """Speed of registration, as the ratio to small_gicp called directly with the same settings on the same clouds.
 
-`python -m agents.registration_speed [--points 20000] [--repeats 9]`: one run, one thread, warm, medians of
-processor time taken in turns (which another program's load disturbs less than wall time).
+`python -m agents.registration_speed [--points 20000] [--repeats 25]`: one run, one thread, warm, medians of
+processor time taken in turns (which another program's load disturbs less than wall time), and of each turn's ratio.
 The direct call thins both clouds, makes normals and covariances, and aligns once from the same start; `register` also
 finds its scales, starts from a coarse stage and judges the result.
 """
@@ -16,8 +16,8 @@ from functools import partial
 from typing import Any
 
 
-def medians(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
-    """Median processor seconds of each, after one call to warm up, in turns."""
+def processor_times(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, list[float]]:
+    """Processor seconds of each call, after one call to warm up, in turns."""
     for call in calls.values():
         call()
     times: dict[str, list[float]] = {name: [] for name in calls}
@@ -26,11 +26,11 @@ def medians(calls: dict[str, Callable[[], Any]], repeats: int) -> dict[str, floa
             start = time.process_time()
             call()
             times[name].append(time.process_time() - start)
-    return {name: sorted(values)[len(values) // 2] for name, values in times.items()}
+    return times
 
 
-def measure(points: int = 20_000, repeats: int = 9) -> dict[str, dict[str, float]]:
-    """Of each method: median seconds of both, their ratio, and both errors (angle [rad] and distance [m])."""
+def measure(points: int = 20_000, repeats: int = 25) -> dict[str, dict[str, float]]:
+    """Of each method: median seconds of both, the median ratio, and both errors (angle [rad] and distance [m])."""
     import numpy as np
     import small_gicp
 
@@ -69,8 +69,9 @@ def measure(points: int = 20_000, repeats: int = 9) -> dict[str, dict[str, float
             "direct": partial(direct, kind),
             "register": partial(ours, method),
         }
-        seconds = medians(calls, repeats)
-        row = seconds | {"ratio": seconds["register"] / seconds["direct"]}
+        times = processor_times(calls, repeats)
+        row = {name: float(np.median(seconds)) for name, seconds in times.items()}
+        row["ratio"] = float(np.median(np.divide(times["register"], times["direct"])))
         for name, call in calls.items():
             twist = se3_log(inverse(truth) @ call())
             row[f"{name} distance"], row[f"{name} angle"] = np.linalg.norm(twist.reshape(2, 3), axis=1).tolist()
@@ -82,7 +83,7 @@ def main(argv: list[str]) -> int:
     """Print seconds, ratios and errors."""
     parser = argparse.ArgumentParser(prog="python -m agents.registration_speed", description=__doc__)
     parser.add_argument("--points", type=int, default=20_000)
-    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--repeats", type=int, default=25)
     args = parser.parse_args(argv)
     for method, row in measure(args.points, args.repeats).items():
         print(

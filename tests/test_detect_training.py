@@ -18,7 +18,7 @@ from agents.checkpoint import CheckpointError, load_checkpoint
 from agents.detect_dataset import DetectDataset
 from agents.detect_evaluate import evaluate
 from agents.detect_evaluate import main as evaluate_main
-from agents.detect_evaluate_scores import Labelled, score, without_difficult
+from agents.detect_evaluate_scores import SIZES, Labelled, score, score_by_size, without_difficult
 from agents.detect_export import export_onnx
 from agents.detect_frames import FrameCache, Repeated, repeats
 from agents.detect_onnx import DetectorFileError, OnnxDetector
@@ -223,3 +223,15 @@ def test_pictures_of_rare_classes_are_shown_more_often() -> None:
     shown = Repeated([f"frame {i}" for i in range(20)], times)  # type: ignore[arg-type]
     counts = Counter(shown[i] for i in range(len(shown)))
     assert abs(counts["frame 15"] - times[15]) < 1.0 and len(shown) == round(times.sum()) and len(counts) == 20
+
+
+def test_every_size_has_its_own_scores() -> None:
+    boxes = np.array([[0, 0, 10, 10], [100, 0, 130, 30], [0, 100, 20, 120]], dtype=float)
+    truth = Labelled(boxes[:2], np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.bool_))
+    # The small object is found second, after a false one of its size; the middle one at once.
+    found = boxes[[2, 1, 0]], np.array([0.9, 0.8, 0.7]), np.zeros(3, dtype=np.int64)
+    small, middle, _ = SIZES
+    rows = score_by_size([found], [truth], ["thing"], 0.5)
+    assert list(rows) == [small, middle]
+    assert rows[small].map50 == pytest.approx(0.5) and rows[small].objects == 1 and rows[small].precision == 0.5
+    assert rows[middle].map50 == 1.0 and rows[middle].precision == 1.0
