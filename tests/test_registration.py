@@ -193,9 +193,11 @@ def test_object_in_a_scene() -> None:
         assert result.converged and displacement(clouds[0], result.T_target_source, truth) < 0.0065
 
 
-# The whole model in the frame of the scan `bun000`: its bounding box; and the pose of `bun045` in that frame, from the
-# Stanford 3D scanning repository's bun.conf (its quaternion is of the inverse rotation).
-BUNNY_MIDDLE = np.array([-0.01685, 0.11015, -0.00155])
+# The whole model in the frame of the scan `bun000`: the middle of its bounding box (lowest, highest corner of
+# bun_zipper.ply); and the pose of `bun045` in that frame. Both are the Stanford 3D scanning repository's; the latter is
+# bun.conf's "-0.0520211 -0.000383981 -0.0109223 0.00548449 -0.294635 -0.0038555 0.955586" (translation, quaternion
+# xyzw), whose quaternion is of the inverse rotation.
+BUNNY_MIDDLE = 0.5 * (np.array([-0.0946899, 0.0329874, -0.0618736]) + [0.0610091, 0.187321, 0.0587997])
 BUN045 = transform(
     so3_exp(2 * np.arccos(0.955586) * np.array([-0.00548449, 0.294635, 0.0038555]) / np.sqrt(1 - 0.955586**2)),
     np.array([-0.0520211, -0.000383981, -0.0109223]),

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from aerograsp_env.spatial import check_transform, inverse
 from baselines.detection.checks import check_points, check_positive
 from baselines.detection.color_registration import ColoredCloud, iterate_with_colors
-from baselines.detection.spacing import cloud_size, point_spacing
+from baselines.detection.spacing import bounds, cloud_size, point_spacing
 from baselines.objects.point_cloud import PointCloudObject
 
 Array = NDArray[np.float64]
@@ -142,10 +142,12 @@ def _register_shapes(
     coarse = _coarser(source, max(3.0 * scales.resolution, scales.reach / 5.0))
     size = cloud_size(moving)
     T, iterations = start, 0
-    # The generalised steps need not come to rest as nearly: their pairs switch within the surfaces' covariances.
-    stages = [(source, KINDS[method], scales.gate, (1e-2 if method == "gicp" else 2e-3) * scales.resolution)]
+    # The generalised steps need not come to rest as nearly: their pairs switch within the surfaces' covariances. Nor
+    # need they begin as near, whereas plane steps over all of the cloud cost more than those over the coarse one.
+    rough, fine = (1e-1, 1e-2) if method == "gicp" else (5e-2, 2e-3)
+    stages = [(source, KINDS[method], scales.gate, fine * scales.resolution)]
     if scales.reach > scales.gate:
-        stages.insert(0, (coarse, KINDS["icp"], scales.reach, 5e-2 * scales.resolution))
+        stages.insert(0, (coarse, KINDS["icp"], scales.reach, rough * scales.resolution))
     for cloud, kind, distance, step in stages:
         found = _align(target, cloud, tree, T, kind, distance, max_iterations, step, size)
         iterations += int(found.iterations)
@@ -224,14 +226,14 @@ def _register_colors(
 
 def _inside(points: Array, around: Array, margin: float) -> NDArray[np.bool_]:
     """Which points lie inside a cloud's bounding box, widened by a margin [m]."""
-    low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
-    return ((points >= low) & (points <= high)).all(axis=1)
+    low, high = bounds(around)
+    return ((points >= low - margin) & (points <= high + margin)).all(axis=1)
 
 
 def _crop(points: Array, around: Array, margin: float) -> Array:
     """The points inside a cloud's bounding box, widened by a margin [m]; not copied where that is all of them."""
-    low, high = around.min(axis=0) - margin, around.max(axis=0) + margin
-    if (points.min(axis=0) >= low).all() and (points.max(axis=0) <= high).all():
+    (low, high), (lowest, highest) = bounds(around), bounds(points)
+    if (lowest >= low - margin).all() and (highest <= high + margin).all():
         return points
     return points[_inside(points, around, margin)]
 

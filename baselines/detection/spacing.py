@@ -1,4 +1,4 @@
-"""How dense and how large a cloud is: what default scales are made from."""
+"""How dense and how large a cloud is, and where: what default scales are made from."""
 
 from __future__ import annotations
 
@@ -10,18 +10,26 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def bounds(points):
+    """Lowest and highest (3,) coordinates of (N, 3) points, N >= 1: NumPy is slow along the long axis."""
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(1, len(points)):
+        for k in range(3):
+            low[k], high[k] = min(low[k], points[i, k]), max(high[k], points[i, k])
+    return low, high
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(points, rows):
     """Squared distance of each row's point to the nearest that does not coincide with it (inf: none)."""
-    out = np.full(len(rows), np.inf)
-    for r in range(len(rows)):
-        x, y, z = points[rows[r], 0], points[rows[r], 1], points[rows[r], 2]
-        best = np.inf
-        for i in range(len(points)):
-            gap = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
-            if 0.0 < gap < best:
-                best = gap
-        out[r] = best
-    return out
+    looks, best = points[rows], np.full(len(rows), np.inf)
+    for i in range(len(points)):
+        for r in range(len(rows)):
+            x, y, z = points[i, 0] - looks[r, 0], points[i, 1] - looks[r, 1], points[i, 2] - looks[r, 2]
+            gap = x * x + y * y + z * z
+            if 0.0 < gap < best[r]:
+                best[r] = gap
+    return best
 
 
 def point_spacing(points: Array, looks: int = 16) -> float:
