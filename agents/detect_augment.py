@@ -53,16 +53,16 @@ class Example(NamedTuple):
 class Augmentation:
     """How often each change is made; 0 switches it off. Rendered pictures vary already: much of them stays as it is."""
 
-    mosaic: float = 0.5  # four frames in one picture
+    mosaic: float = 0.35  # four frames in one picture
     zoom: float = 0.4  # of a tile: an object fills it, as in a photograph of one
-    turn: float = 1.0  # a random quarter turn and reflection
-    depth_dropout: float = 0.5  # a picture without depth, so that the network also reads photographs
-    color: float = 0.6
-    grey: float = 0.15
-    background: float = 0.05  # everything but the objects replaced by noise or an even colour
-    blur: float = 0.08
-    noise: float = 0.15
-    jpeg: float = 0.1
+    turn: float = 0.5  # a random quarter turn and reflection
+    depth_dropout: float = 0.35  # a picture without depth, so that the network also reads photographs
+    color: float = 0.3
+    grey: float = 0.1
+    background: float = 0.03  # everything but the objects replaced by noise or an even colour
+    blur: float = 0.04
+    noise: float = 0.06
+    jpeg: float = 0.04
     smallest_scale: float = 0.4
     largest_scale: float = 1.6
 

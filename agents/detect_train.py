@@ -40,7 +40,7 @@ class DetectTrainConfig:
     warmup: int = 300  # steps
     averaging: float = 0.999  # decay of the exponential moving average of the weights
     plain: float = 0.12  # last share of the steps, without mosaics
-    depth_dropout: float = 0.5  # share of the pictures that the network sees without depth
+    depth_dropout: float = 0.35  # share of the pictures that the network sees without depth
     balance: float = 0.5  # how much more often pictures of rare classes are shown: power of the ratio of frequencies
     validate_every: int = 1000  # steps
     validation_images: int = 300
