@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -244,3 +248,56 @@ def test_the_vehicle_follows_its_path_in_wind() -> None:
     np.testing.assert_allclose(readings["attitude"], [roll, pitch, yaw], atol=0.05)
     assert flight.termination == ""
     flight.close()
+
+
+# OpenGL -------------------------------------------------------------------------------------------
+
+COMPARE = """
+import json
+try:
+    import mujoco
+except Exception as error:  # it cannot even be imported without libEGL
+    print(json.dumps(str(error)))
+    raise SystemExit
+from dataclasses import replace
+import numpy as np
+from aerograsp_env.envs.detect import DetectEnv
+from aerograsp_env.envs.detect_action import ACTION_SIZE
+from aerograsp_env.sim.gl_probe import gl_fault
+from aerograsp_env.sim.rgbd_camera import RGBDCameraConfig
+fault = gl_fault()
+if fault is not None:
+    print(json.dumps(fault))
+    raise SystemExit
+camera = replace(RGBDCameraConfig.ideal(160, 120, 0.8), max_depth=6.0)
+envs = [DetectEnv(camera_config=camera, camera_backend=backend) for backend in ("ray", "gl")]
+seen = [[env.reset(seed=0)[0] for env in envs]]
+for _ in range(2):
+    steps = [env.step(np.zeros(ACTION_SIZE)) for env in envs]
+    assert steps[0][1] == steps[1][1], "what is true of the frames is the same"
+    seen.append([step[0] for step in steps])
+for env in envs:
+    env.close()
+found = []
+for a, b in seen:
+    assert all((a[name] == b[name]).all() for name in a if name not in ("rgb", "depth"))
+    both = (a["depth"] > 0) & (b["depth"] > 0)
+    rgb = [one["rgb"].astype(float) for one in (a, b)]
+    found.append([
+        float(np.median(np.abs(a["depth"] - b["depth"])[both])), float(both.mean()),
+        float(np.abs(rgb[0] - rgb[1]).mean()), float(np.corrcoef(rgb[0].ravel(), rgb[1].ravel())[0, 1]),
+    ])
+print(json.dumps(found))
+"""
+
+
+def test_opengl_shows_the_same_episode() -> None:
+    environment = {**os.environ, "MUJOCO_GL": "egl"}
+    done = subprocess.run([sys.executable, "-c", COMPARE], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    if isinstance(found, str):
+        pytest.skip(f"OpenGL (EGL) does not work here: {found}")
+    for depth, seen, color, alike in found:
+        assert depth < 1e-3 and seen > 0.9  # [m]
+        assert color < 40 and alike > 0.9  # of 255: the lights are MuJoCo's own

@@ -108,7 +108,9 @@ class DetectEnv(gymnasium.Env):
 
     Options: `level="easy"|"cluttered"|"dark"|"blurred"`, `labels` (which classes there are), `mesh` (a file, or a YCB
     folder: what the objects of the one class in `labels` are), `motion="any"|"hover"|"pass"|"orbit"`,
-    `sensors="rgbd"|"stereo"`, `camera_backend="ray"|"gl"`, `camera_config` (image size, field of view, noise), `wind`,
+    `sensors="rgbd"|"stereo"`, `camera_backend="ray"|"gl"` (shapes, textures and depth agree; OpenGL's light and shadows
+    are MuJoCo's own, darker in bright scenes and lighter in dark ones; surfaces seen from within are not drawn),
+    `camera_config` (image size, field of view, noise), `wind`,
     `randomize` (masses, rotors, gains and sensors of the vehicle; scenes, looks and lights are always drawn),
     `reward_mode`, `render_mode`.
     """
