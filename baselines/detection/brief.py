@@ -1,4 +1,9 @@
-"""BRIEF: a patch as the signs of 512 comparisons of smoothed brightness (Calonder et al. 2010)."""
+"""BRIEF: a patch as the signs of 512 comparisons of smoothed brightness (Calonder et al. 2010).
+
+The places compared are those of OpenCV's contributed extractor of 64 bytes (Apache 2.0), not newly drawn ones, since
+descriptors can be matched only with others of the same places, and models made with OpenCV are to be read
+(`FeatureModel.read_opencv`).
+"""
 
 from __future__ import annotations
 
@@ -17,8 +22,7 @@ BORDER = 28
 SMOOTHING = 9  # [px] edge of the box whose sum is compared
 REACH = 24  # [px] farthest that a comparison lies from the keypoint along either axis
 
-# The places compared, (512, 4) int8: y, x of the first, y, x of the second. The paper draws them at random; these
-# are what OpenCV's contributed extractor of 64 bytes (Apache 2.0) compares, so that models made with it can be read.
+# The places compared, (512, 4) int8: y, x of the first, y, x of the second. The paper draws them at random.
 _PLACES = (
     "c-j?}*LLeV5=0vrAQ(jJTGs#nosK1049ICPuLKuXp}J~!ZKCb15L7ir+=dA^*cmHTVrt~Z;zPQVTUnY!gfku@OSfwLEF^1l+INLPlpBxSr=&zH!M"
     "<q%jfom8p$f)wMT<#u6H+`9gJ{<&mwciVgCw_OBJH#CK`aUId95VoO%j-?VN3^s`1nl<o)JSylfQ_$WOlDWSr;-;8g3xot-x2lC4vGj*XLS^_4l+"
