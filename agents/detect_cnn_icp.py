@@ -8,7 +8,6 @@ symmetric pose nearest to its prediction, so that symmetric objects do not flip.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -19,11 +18,10 @@ from aerograsp_env.envs.detect_action import SLOTS, detections_to_action
 from aerograsp_env.interfaces import RGBD, Detection
 from aerograsp_env.metrics import box_iou
 from aerograsp_env.sim.visual import CLASSES
-from aerograsp_env.sim.visual.objects import nominal_object
 from aerograsp_env.spatial import Array, inverse
 from agents.detect_onnx import OnnxDetector, shipped_detector
-from agents.detect_posed import shape_of
-from baselines.detection import PoseTrack, PoseTracker, pose_from_box
+from agents.detect_posed import followed, measured, predicted, tracker_of
+from baselines.detection import BoxPose, PoseTrack
 from baselines.policies.detect import seen_frame
 from baselines.policies.detect_descriptors import describe
 from baselines.policies.detect_pose import fit_pose
@@ -44,10 +42,6 @@ ON_SUPPORT = ("can", "juice_box", "box", "fruit")
 """Classes whose size varies so much that what one sees of them does not tell where their middle is."""
 SAME_THING = 0.6
 """IoU of a detection's box with what stands out from its support, from which both are one thing."""
-LEAST_FIT = 0.3
-"""Share of a cloud that must lie on the model, and of the model that must be seen: less is no pose."""
-NOISE = np.diag([0.01**2] * 3 + [0.1**2] * 3)
-"""Covariance [m², rad²] of a pose that fits perfectly; of others it is larger by the square of their score."""
 MISSED = 6
 """Frames after which a track that was not seen is dropped."""
 
@@ -137,20 +131,17 @@ class CnnPolicy:
             track = tracks[k]
             label = CLASSES[int(track.scores.argmax())]
             pose = track.pose if track.label == label else None
-            T_init = None if pose is None else inverse(T_start_camera) @ pose.T
-            measured = _pose(frame, track.box, label, proposals, T_init)
-            if measured is not None:
-                T_c_object, score = measured
-                noise = NOISE / max(score, 0.1) ** 2
-                pose = tracker_of(label).update(pose, T_start_camera @ T_c_object, stamp, noise)
+            tracker = tracker_of(label)
+            T_init = predicted(tracker, pose, T_start_camera, stamp)
+            found = _pose(frame, track.box, label, proposals, T_init)
+            if found.T_c_object is not None:
+                pose = followed(tracker, pose, found, label, T_start_camera, stamp)
             results[k] = track._replace(label=label, pose=pose, waited=0)
         return tuple(results)
 
 
-def _pose(
-    frame: RGBD, box: Array, label: str, proposals: Sequence[Proposal], T_init: Array | None
-) -> tuple[Array, float] | None:
-    """T_c_object and how well it fits, in (0, 1]; None where the depth in the box does not show the class.
+def _pose(frame: RGBD, box: Array, label: str, proposals: Sequence[Proposal], T_init: Array | None) -> BoxPose:
+    """The pose of what is in a box, if the depth there shows the class.
 
     Containers and fruit that stand out from their support are measured on it, which tells how far down their hidden
     side goes; of all others, and where objects touch, the model is aligned with what the box shows.
@@ -160,9 +151,8 @@ def _pose(
         proposal = proposals[int(iou.argmax())]
         camera = frame.intrinsics
         fit = fit_pose(label, proposal, describe(proposal, 1.0 / (camera.fx * camera.fy)))
-        return fit.T_c_object, float(iou.max())
-    found = pose_from_box(frame, box, shape_of(label), T_init, min_inlier_fraction=LEAST_FIT, min_seen=LEAST_FIT)
-    return None if found.T_c_object is None else (found.T_c_object, found.score)
+        return BoxPose(fit.T_c_object, float(iou.max()), proposal.points)
+    return measured(frame, box, label, T_init)
 
 
 def _merged(boxes: Array, scores: Array, labels: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -190,12 +180,6 @@ def _report(track: Track, T_start_camera: Array, least: float) -> Detection | No
     if track.pose is not None and track.label == label:
         T = inverse(T_start_camera) @ track.pose.T
     return Detection(label, min(score, 1.0), track.box, T)
-
-
-@functools.cache
-def tracker_of(label: str) -> PoseTracker:
-    """A class's filter: objects rest, so accelerations are those of the odometry's errors."""
-    return PoseTracker(nominal_object(label).symmetries, jerk=0.2, angular_jerk=0.5)
 
 
 def cnn_icp() -> CnnPolicy:

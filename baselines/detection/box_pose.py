@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerograsp_env.interfaces import RGBD
 from aerograsp_env.spatial import as_array
-from baselines.detection.alignment import DepthView, align_model, best_pose
+from baselines.detection.alignment import DepthView, best_pose
 from baselines.detection.clusters import connected_labels, groups_of
 from baselines.detection.plane import fit_plane
 from baselines.detection.registration import LEAST
@@ -29,13 +29,22 @@ NOISE = 0.004
 SMALL = 0.1
 """Pieces of the object's cloud smaller than this share of the largest are taken for strays."""
 
+SURE_SEEN, SURE_INLIERS = 0.85, 0.5
+"""Shares of the model seen where it should be, and of the cloud on the model, from which a rough pose, refined, is
+right without a search. Wrong poses show in the first: the camera looks through them. What is not removed of the support
+lowers the second of right ones too."""
+SURER = 0.1
+"""By how much a pose that was searched must agree better with the image than the rough pose, refined, to disprove it.
+Less is taken for noise: the rough pose stays."""
+
 
 class BoxPose(NamedTuple):
     """An object's pose, or None where the cloud did not agree with its model."""
 
     T_c_object: Array | None  # (4, 4)
-    score: float  # in [0, 1]; 0 without a pose
+    score: float  # in [0, 1]: share of the cloud on the model × share of the model that is seen; 0 without a pose
     points: Array  # (N, 3) [m] in the camera's frame: what was taken for the object
+    disproved: bool = False  # another pose agrees with the image much better than the rough one that was given
 
 
 def pose_from_box(
@@ -53,8 +62,8 @@ def pose_from_box(
         frame: colour is not used; depth registered to it.
         box: (4,) xyxy [px]; parts outside the image are cut off.
         model: what `align_model` takes: best a `ShapeModel`, which is made once.
-        T_init: (4, 4) rough T_c_object, such as a tracker's prediction; where it does not fit, and where it is None,
-            all orientations are searched.
+        T_init: (4, 4) rough T_c_object, such as a tracker's prediction. Where it does not fit well, and where it is
+            None, all orientations are searched, of which one must agree much better with the image to be taken instead.
         min_inlier_fraction, min_seen: as `align_model`.
 
     Raises:
@@ -64,14 +73,18 @@ def pose_from_box(
     points, view = object_points(frame, box, shape.diameter)
     if len(points) < LEAST:
         return BoxPose(None, 0.0, points)
-    if T_init is not None:
-        near = align_model(points, shape, T_init, view=view, min_inlier_fraction=0.7, min_seen=0.7)
-        if near.converged:
-            return BoxPose(near.T_target_source, near.inlier_fraction, points)
-    found = best_pose(points, shape, view=view)
+    disproved = False
+    near = None if T_init is None else best_pose(points, shape, T_init, view=view)
+    if near is not None and near.seen >= SURE_SEEN and near.inlier_fraction >= SURE_INLIERS:
+        found = near
+    else:
+        found = best_pose(points, shape, view=view)
+        if near is not None:
+            disproved = found.score > near.score + SURER
+            found = found if disproved else near
     if found.inlier_fraction < min_inlier_fraction or found.seen < min_seen:
         return BoxPose(None, 0.0, points)
-    return BoxPose(found.T, found.inlier_fraction * found.seen, points)
+    return BoxPose(found.T, found.inlier_fraction * found.seen, points, disproved)
 
 
 def object_points(frame: RGBD, box: ArrayLike, size: float) -> tuple[Array, DepthView]:

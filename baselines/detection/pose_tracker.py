@@ -187,6 +187,16 @@ class PoseTracker:
             return replace(before, accepted=False, rejected=track.rejected + 1)
         return _folded(replace(before, position=position, turn=turn, accepted=True, rejected=0))
 
+    def restart(self, track: PoseTrack, T: ArrayLike, stamp: float, covariance: ArrayLike | None = None) -> PoseTrack:
+        """A new track at the measurement T (4, 4), in the symmetric pose nearest to what was known.
+
+        For whoever knows more than the gate does: that the track is wrong, and this is right.
+
+        Raises:
+            ValueError: as `start`.
+        """
+        return self.start(nearest_symmetric(_pose(T), self.symmetries, track.T[:3, :3])[0], stamp, covariance)
+
     def _noise(self, covariance: ArrayLike | None) -> Array:
         if covariance is None:
             return self.noise
