@@ -13,9 +13,9 @@ from toy_env import STEPS, TOY, TOY_SINGLE, Forgetful, HoldVectorEnv, Proportion
 import agents
 from agents.evaluation import EvaluationResult, evaluate
 from agents.files import dumps
-from agents.policies import RandomPolicy
 from agents.seeds import TEST_SEEDS, TRAIN_SEEDS, VALIDATION_SEEDS
 from agents.traces import trace
+from agents.trivial_policies import RandomPolicy
 
 
 @pytest.fixture(autouse=True)

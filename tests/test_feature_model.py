@@ -12,6 +12,7 @@ from feature_pictures import CAMERA, HEIGHT, WIDTH, board_points, draw_board, hi
 from aerograsp_env import spatial as sp
 from aerograsp_env.interfaces import RGBD, Detector
 from aerograsp_env.metrics import rotation_error, translation_error
+from baselines.detection.feature_detector import FeatureDetector
 from baselines.detection.feature_learning import (
     LearnedModel,
     LearningError,
@@ -19,7 +20,7 @@ from baselines.detection.feature_learning import (
     learn_from_rgbd,
     learn_from_stereo,
 )
-from baselines.detection.feature_model import FeatureDetector, FeatureModel
+from baselines.detection.feature_model import FeatureModel
 from baselines.detection.stereo_features import FrameFeatures, StereoRig
 
 RIG = StereoRig.rectified(CAMERA, 0.08)

@@ -12,7 +12,8 @@ import toy_env
 from toy_env import TOY, Proportional
 
 from agents import policies
-from agents.policies import PolicyUnavailable, RandomPolicy, UnknownName, batch_size, checkpoints, load_policy
+from agents.policies import PolicyUnavailable, UnknownName, checkpoints, load_policy
+from agents.trivial_policies import RandomPolicy, batch_size
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ from baselines.detection.bundle import BundleResult, bundle_adjust
 from baselines.detection.clusters import euclidean_clusters
 from baselines.detection.color import ColorRegion, ColorSegmenter
 from baselines.detection.extraction import extract, feature_kind
+from baselines.detection.feature_detector import FeatureDetector
 from baselines.detection.feature_learning import (
     LearnedModel,
     LearningError,
@@ -13,7 +14,7 @@ from baselines.detection.feature_learning import (
     learn_from_rgbd,
     learn_from_stereo,
 )
-from baselines.detection.feature_model import FeatureDetector, FeatureModel, FeaturePose
+from baselines.detection.feature_model import FeatureModel, FeaturePose
 from baselines.detection.kmeans import Centers, kmeans_pp, x_means
 from baselines.detection.outliers import remove_outliers
 from baselines.detection.plane import Plane, fit_plane

@@ -13,18 +13,15 @@ from aerograsp_env.metrics import umeyama
 from aerograsp_env.spatial import check_transform, inverse, project_to_so3, transform, transform_points
 from baselines.detection.bundle import bundle_adjust
 from baselines.detection.extraction import feature_kind
+from baselines.detection.feature_matching import MIN_PAIRS, join_beyond, match_in_order
 from baselines.detection.feature_model import FeatureModel
-from baselines.detection.pnp import PnPResult, solve_pnp
 from baselines.detection.propagation import observations, propagate
 from baselines.detection.stereo_features import FrameFeatures, StereoRig, rgbd_features, stereo_features
-from baselines.objects.matching import match_descriptors
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 ROUNDS = 3  # of bundle adjustment, each without what the last one found wrong
-SEQUENTIAL_ERROR = 4.0  # [px] of features of the next frame from where this frame's points would be seen
-MIN_PAIRS = 8  # of features that consecutive frames must share
 
 
 class LearningError(ValueError):
@@ -43,13 +40,6 @@ class LearnedModel(NamedTuple):
     scale: float  # that the similarity fit multiplied the reconstruction by
     scale_spread: float  # standard deviation of it over the frames, relative
     metric_rmse: float  # [m] between the model's and the frames' own points after the fit
-
-
-class _Chain(NamedTuple):
-    frames: list[int]
-    matches: list[Ints]  # (M, 2) rows of features of consecutive frames used
-    T_c_o: list[Array]  # from the first used camera's frame
-    skipped: list[tuple[int, str]]
 
 
 class _Reconstruction(NamedTuple):
@@ -159,12 +149,12 @@ def learn_feature_model(
             f"got {min_views}, {max_error}, {descriptors_per_point}"
         )
     T_given = None if T_c_object is None else check_transform(T_c_object, "T_c_object").reshape(-1, 4, 4)
-    chain = _chain(frames, intrinsics, ratio)
+    chain = match_in_order(frames, intrinsics, ratio)
     used = [frames[i] for i in chain.frames]
     if len(used) < min_views:
         raise LearningError(f"frames: expected {min_views} or more that fit together, got {len(used)} of {len(frames)}")
     matches = propagate(chain.matches)
-    _join_beyond(matches, used, intrinsics, ratio)
+    join_beyond(matches, used, intrinsics, ratio)
     seen = observations(matches, [len(f.pixels) for f in used], min_views)
     if seen.points < MIN_PAIRS:
         raise LearningError(f"frames: expected {MIN_PAIRS} points or more in {min_views} views, got {seen.points}")
@@ -197,51 +187,6 @@ def learn_feature_model(
     rmse = float(np.sqrt((errors**2).mean()))
     poses = T @ T_first_object
     return LearnedModel(model, poses, tuple(chain.frames), tuple(chain.skipped), views, rmse, scale, spread, metric)
-
-
-def _step(a: FrameFeatures, b: FrameFeatures, intrinsics: Intrinsics, ratio: float) -> tuple[Ints, PnPResult]:
-    """Matches of two frames that agree with one motion, and that motion (T_b_a)."""
-    found = match_descriptors(a.descriptors, b.descriptors, ratio=ratio)
-    # Pixels are free of distortion already, so the camera is one without.
-    ideal = intrinsics._replace(distortion=None)
-    solved = solve_pnp(a.points_c[found.query], b.pixels[found.train], ideal, SEQUENTIAL_ERROR, MIN_PAIRS)
-    rows = np.column_stack([found.query, found.train])[solved.inliers]
-    return rows, solved
-
-
-def _chain(frames: Sequence[FrameFeatures], intrinsics: Intrinsics, ratio: float) -> _Chain:
-    chain = _Chain([], [], [], [])
-    for i, frame in enumerate(frames):
-        if not chain.frames:
-            if len(frame.pixels) >= MIN_PAIRS:
-                chain.frames.append(i)
-                chain.T_c_o.append(np.eye(4))
-            else:
-                chain.skipped.append((i, f"{len(frame.pixels)} features"))
-            continue
-        rows, solved = _step(frames[chain.frames[-1]], frame, intrinsics, ratio)
-        if solved.T_c_object is None:
-            chain.skipped.append((i, solved.reason))
-            continue
-        chain.matches.append(rows)
-        chain.T_c_o.append(solved.T_c_object @ chain.T_c_o[-1])
-        chain.frames.append(i)
-    return chain
-
-
-def _join_beyond(
-    matches: dict[tuple[int, int], Ints], frames: Sequence[FrameFeatures], intrinsics: Intrinsics, ratio: float
-) -> None:
-    """Match the ends of the sequence directly, which chains of neighbours do not reach, where they show the same."""
-    last = len(frames) - 1
-    for i, j in ((0, last), (0, last - 1), (1, last)):
-        if j - i < 3:
-            continue
-        rows, solved = _step(frames[i], frames[j], intrinsics, ratio)
-        if solved.T_c_object is not None:
-            known = matches[i, j]
-            new = ~np.isin(rows[:, 0], known[:, 0]) & ~np.isin(rows[:, 1], known[:, 1])
-            matches[i, j] = np.concatenate([known, rows[new]])
 
 
 def _adjust(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aerograsp_env.interfaces import RGBD, Detection, Intrinsics
+from aerograsp_env.interfaces import Intrinsics
 from aerograsp_env.spatial import as_array, check_transform, transform_points
 from baselines.detection.extraction import FeatureKind, check_image, extract, feature_kind
 from baselines.detection.pnp import PnPResult, pinhole, solve_pnp, undistorted
@@ -265,30 +264,6 @@ class FeatureModel:
         limit = np.array([intrinsics.width - 1.0, intrinsics.height - 1.0])
         low, high = np.clip(pixels.min(axis=0), 0.0, limit), np.clip(pixels.max(axis=0), 0.0, limit)
         return np.concatenate([low, high]) if (low < high).all() else None
-
-
-class FeatureDetector:
-    """A `Detector` of known objects by their feature models.
-
-    The score is I / (I + 12) of I inliers: 0.5 at a dozen. Boxes span the model's points, hidden ones too.
-    """
-
-    def __init__(self, models: Sequence[FeatureModel] | Mapping[str, FeatureModel], n: int = FEATURES):
-        items = dict(models) if isinstance(models, Mapping) else {model.name: model for model in models}
-        if not items:
-            raise ValueError("models: expected at least one feature model, got none")
-        self._models, self._n = items, n
-
-    def detect(self, frame: RGBD) -> list[Detection]:
-        """The objects found in the frame's colour image, best score first."""
-        found = []
-        for label, model in self._models.items():
-            pose = model.locate(frame.rgb, frame.intrinsics, n=self._n)
-            box = None if pose.T_c_object is None else model.box(pose.T_c_object, frame.intrinsics)
-            if box is not None:
-                score = pose.inliers / (pose.inliers + 12.0)
-                found.append(Detection(label, score, box, pose.T_c_object, pose.covariance))
-        return sorted(found, key=lambda d: -d.score)
 
 
 def _pair(distances: NDArray[np.float32], ratio: float) -> tuple[Ints, Ints]:
