@@ -1,14 +1,11 @@
 """Thesis figure 3.15: a feature model keeps the pose of an object of which half is hidden.
 
-`python -m agents.figure_3_15 [--frames N] [--views N] [--out PNG] [--json FILE]`
+`aerograsp reproduce figure-3.15 [--out PNG] [--json FILE]`
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -21,9 +18,7 @@ from aerograsp_env.sim.rgbd_camera import RGBDCameraConfig
 from aerograsp_env.sim.visual.viewpoints import look_at
 from agents.feature_scenes import CAMERA, FeatureScene, frame, orbit, stereo_sequence
 from agents.feature_scenes import SIZE as CARTON_SIZE
-from agents.files import write_json
 from agents.pictures import figure_grid, png
-from agents.provenance import provenance
 from agents.reproduction import Reproduction, Request, text_table
 from agents.seeds import TRAIN_SEED
 from agents.statistics import bootstrap_interval, mean
@@ -178,27 +173,3 @@ def _picture(model: FeatureModel, frames: Sequence[RGBD], tracks: dict[str, Trac
     axes[5].set(xlabel="frame", ylabel="position error [mm]")
     axes[5].legend(frameon=False, fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=1)
     return png(figure)
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Print the table; write picture and data where asked."""
-    parser = argparse.ArgumentParser(prog="python -m agents.figure_3_15", description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=FRAMES)
-    parser.add_argument("--views", type=int, default=VIEWS)
-    parser.add_argument("--seed", type=int, default=Request().seed)
-    parser.add_argument("--out", type=Path, help="PNG to write")
-    parser.add_argument("--json", type=Path, help="data to write")
-    given = parser.parse_args(arguments)
-    if given.frames < 5 or given.views < 4:
-        parser.error(f"--frames, --views: expected 5 or more and 4 or more, got {given.frames} and {given.views}")
-    result = run(Request(seed=given.seed, picture=given.out is not None), given.frames, given.views)
-    print(result.text)
-    if given.out is not None and result.picture is not None:
-        given.out.write_bytes(result.picture)
-    if given.json is not None:
-        write_json(given.json, result.data | {"provenance": provenance(["python -m agents.figure_3_15", *arguments])})
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

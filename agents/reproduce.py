@@ -28,6 +28,7 @@ TABLES = {
         "agents.figure_2_12", "aligned models, varying or fixed noise (figures 2.10-2.12)", draws=True
     ),
     "figure-2.20": Table("agents.figure_2_20", "a U too wide for the jaws (thesis figure 2.20)", draws=True),
+    "figure-3.15": Table("agents.figure_3_15", "an object of which half is hidden (thesis figure 3.15)", draws=True),
     "grasp-judge": Table("agents.grasp_judge_gate", "grasps that must hold and grasps that must not, by the physics"),
     "table-5.3": Table("agents.table_5_3", "holding error by GPS, vision and tool (thesis Table 5.3)", counts=True),
     "reach": Table("agents.reach_table", "the tool at a point, from a drifting hover (Reach-v0)", counts=True),
