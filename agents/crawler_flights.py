@@ -144,7 +144,8 @@ def fly(level: str, flights: int, seed: int, sources: Mapping[str, Boxes], frame
         env: Any = gymnasium.make("aerograsp/Detect-v0", labels=(LABEL,), motion=motion, level=level)
         world: DetectEnv = env.unwrapped
         observation, _ = env.reset(seed=seed + flight)
-        odometry, followers = Odometry.begin(), {}
+        odometry = Odometry.begin()
+        followers: dict[tuple[str, int], Follower] = {}
         for k in range(frames):
             odometry, T_start_camera = odometry.advance(observation, k == 0)
             frame, there = observed_frame(observation), [true for true in world.truths if true.label == LABEL]
@@ -158,15 +159,11 @@ def fly(level: str, flights: int, seed: int, sources: Mapping[str, Boxes], frame
                     poses = follower.see(frame, box, T_start_camera, k * FRAME)
                     for name, T in poses.items():
                         T_c = None if T is None else inverse(T_start_camera) @ T
+                        T_w = None if T_c is None else world.T_world_camera @ T_c
                         facts = (flight, motion, true.identity, k * FRAME)
-                        out[source, name].append(
-                            Frame(*facts, *_errors(T_c, true), box is not None, _world(world, T_c))
-                        )
-                    if source == next(iter(sources)):
-                        T = poses["ekf"]
-                        shown.append(
-                            Detection(LABEL, 1.0, true.box, None if T is None else inverse(T_start_camera) @ T)
-                        )
+                        out[source, name].append(Frame(*facts, *_errors(T_c, true), box is not None, T_w))
+                        if name == "ekf" and source == next(iter(sources)):
+                            shown.append(Detection(LABEL, 1.0, true.box, T_c))
                 for key, follower in followers.items():
                     if key[0] == source and key[1] not in seen:
                         follower.miss()
@@ -187,7 +184,3 @@ def _errors(T_c_object: Array | None, true: TrueObject) -> tuple[float, float, f
         return distance, np.inf, np.inf
     turned = rotation_error(T_c_object, true.T_c_object, true.model.symmetries)
     return distance, float(translation_error(T_c_object, true.T_c_object)), float(turned)
-
-
-def _world(world: DetectEnv, T_c_object: Array | None) -> Array | None:
-    return None if T_c_object is None else world.T_world_camera @ T_c_object

@@ -35,9 +35,9 @@ QUANTILES = (0.5, 0.95)
 RESAMPLES = 2000
 
 NOTES = """\
-{frames} frames × crawlers in {tracks} tracks. Not counted: {difficult} in which a crawler is difficult (under 40 % of it
+{frames} frames × crawlers in {tracks} tracks. Not counted: {difficult} in which a crawler is difficult (not 40 % of it
 visible), {unseen} in which it has left the picture. Errors: median / 95th percentile, rotations up to the crawler's
-symmetry. Jumps: of raw rotations, symmetry or not. Intervals resample flights. "true" boxes have {noise:g} px of noise.
+symmetry. Jumps: of raw rotations, symmetry or not. Intervals resample flights. True boxes have {noise:g} px of noise.
 "alone": each frame by itself; "alone, then ekf": those poses, filtered; others start aligning from their prediction."""
 
 
@@ -109,8 +109,9 @@ def picture(flights: Flights) -> bytes:
     jumps = {key: count_jumps(np.array(track)) for key, track in _tracks(alone).items()}
     worst = max(jumps, key=lambda key: jumps[key], default=None)
     for name, rows, color in (("each frame alone", alone, "#c0504d"), ("EKF", ekf, "#1f6fb4")):
-        one = [row for row in rows if (row.flight, row.crawler) == worst and row.T_world_object is not None]
-        heading = [np.degrees(np.arctan2(row.T_world_object[1, 0], row.T_world_object[0, 0])) for row in one]
+        one = [row for row in rows if (row.flight, row.crawler) == worst]
+        poses = [np.full((4, 4), np.nan) if row.T_world_object is None else row.T_world_object for row in one]
+        heading = [np.degrees(np.arctan2(T[1, 0], T[0, 0])) for T in poses]
         axes[3].plot([row.time for row in one], heading, ".-", color=color, lw=0.8)
         found = [row for row in rows if np.isfinite(row.position)]
         far = [row.distance for row in found]
