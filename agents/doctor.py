@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Literal
 
 from aerograsp_env.own_process import fault_of
+from aerograsp_env.sim.gl_probe import renderer_fault
 
 Status = Literal["ok", "warning", "missing"]
 
@@ -49,16 +50,6 @@ import aerograsp_env.sim.kernel
 env = gymnasium.make("aerograsp/Dock-v0")
 env.reset(seed=0)
 env.step(env.action_space.sample())
-"""
-_RENDER = """
-import sys
-import mujoco
-from aerograsp_env.sim.rendering import FreeCamera, make_renderer
-model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="1" rgba="1 0 0 1"/></worldbody></mujoco>')
-data = mujoco.MjData(model)
-mujoco.mj_forward(model, data)
-picture = make_renderer(model, 32, 24, sys.argv[1]).render(data, FreeCamera())
-assert picture[12, 16, 0] > 2 * picture[12, 16, 2], f"a red ball came out as {picture[12, 16]}"
 """
 
 
@@ -163,7 +154,7 @@ def _kernel() -> Check:
 
 
 def _renderer(backend: str, gl: str) -> Check:
-    failure = fault_of(_RENDER, backend, MUJOCO_GL=gl)
+    failure = renderer_fault(backend, gl)
     if backend == "ray":
         return Check("renderer ray", "missing" if failure else "ok", failure or "needs no OpenGL; the default")
     name = f"renderer gl, {gl}"
