@@ -7,11 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from aerograsp_env.envs.detect_action import POSITION_SCALE
 from aerograsp_env.envs.detect_motion import MOTIONS
-from aerograsp_env.envs.options import choose, instance
+from aerograsp_env.envs.options import choose, instance, randomization
 from aerograsp_env.sim.manipulation.config import ManipulationRandomizeConfig
 from aerograsp_env.sim.rendering import BACKENDS
 from aerograsp_env.sim.rgbd_camera import RGBDCameraConfig
@@ -58,10 +56,6 @@ def detect_options(
     Raises:
         ValueError: a value that is not valid, naming the nearest that is.
     """
-    if isinstance(randomize, bool | np.bool_):
-        vehicle = ManipulationRandomizeConfig() if randomize else None
-    else:
-        vehicle = instance("randomize", randomize, ManipulationRandomizeConfig)
     names = _labels(labels)
     chosen = choose("level", level, LEVELS)
     return DetectOptions(
@@ -72,7 +66,7 @@ def detect_options(
         sensors=choose("sensors", sensors, SENSORS),
         camera=_camera(camera_config, choose("camera_backend", camera_backend, BACKENDS), chosen),
         wind=instance("wind", wind, WindConfig, WIND_LEVELS),
-        vehicle=vehicle,
+        vehicle=randomization(randomize, ManipulationRandomizeConfig),
     )
 
 

@@ -24,7 +24,7 @@ from aerograsp_env.envs.grasp_cloud import (
 from aerograsp_env.envs.grasp_options import GraspRandomizeConfig, ObjectChoice, check_start
 from aerograsp_env.envs.grasp_outcome import metrics, reward_terms
 from aerograsp_env.envs.grasp_start import begin
-from aerograsp_env.envs.options import REWARD_MODES, check_action, choose, instance
+from aerograsp_env.envs.options import REWARD_MODES, check_action, choose, instance, randomization
 from aerograsp_env.interfaces import Grasp
 from aerograsp_env.sim.depth_view import DepthCameraConfig, PartialView
 from aerograsp_env.sim.grasp_judge import JudgeConfig, Judgement, Recording, judge_grasp, record_grasp
@@ -134,10 +134,7 @@ class GraspPlanEnv(gymnasium.Env):
         self.gripper = _configured("gripper", gripper, GripperConfig)
         self.depth_camera = _configured("depth_camera", depth_camera, DepthCameraConfig)
         self.judge_config = _configured("judge", judge, JudgeConfig)
-        if isinstance(randomize, bool | np.bool_):
-            self.randomize = GraspRandomizeConfig() if randomize else None
-        else:
-            self.randomize = instance("randomize", randomize, GraspRandomizeConfig)
+        self.randomize = randomization(randomize, GraspRandomizeConfig)
         self._choice = ObjectChoice(objects)
         self.observation_space = observation_space(self.points)
         self.action_space = spaces.Box(-1.0, 1.0, (ACTION_SIZE,), np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from aerograsp_env.envs.options import choose, instance, pair, scalar, triple
+from aerograsp_env.envs.options import choose, instance, pair, randomization, scalar, triple
 from aerograsp_env.sim.arms.vehicles import AQUILES, BELEROFONTE_ARMS, VehicleConfig
 from aerograsp_env.sim.autopilot import AutopilotConfig
 from aerograsp_env.sim.manipulation.config import (
@@ -45,10 +45,6 @@ def manipulation_config(
     base = config if config is not None else ManipulationConfig()
     if not isinstance(base, ManipulationConfig):
         raise ValueError(f"config must be a ManipulationConfig, got {config!r}")
-    if isinstance(randomize, bool):
-        drawn = ManipulationRandomizeConfig() if randomize else None
-    else:
-        drawn = instance("randomize", randomize, ManipulationRandomizeConfig)
     if not isinstance(com_feedforward, bool):
         raise ValueError(f"com_feedforward must be True or False, got {com_feedforward!r}")
     tracker = PoseEstimateConfig() if estimate is None else instance("estimate", estimate, PoseEstimateConfig)
@@ -63,7 +59,7 @@ def manipulation_config(
         com_feedforward=com_feedforward,
         velocity_limit=triple("velocity_limit", velocity_limit),
         command_delay=pair("command_delay", command_delay),
-        randomize=drawn,
+        randomize=randomization(randomize, ManipulationRandomizeConfig),
         sensors=instance("sensors", sensors, SensorConfig) if sensors is not None else base.sensors,
         autopilot=instance("autopilot", autopilot, AutopilotConfig) if autopilot is not None else base.autopilot,
     )

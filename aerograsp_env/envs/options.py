@@ -62,6 +62,13 @@ def instance(name: str, value: Any, kind: type, names: dict[str, Any] | None = N
     raise ValueError(f"{name} must be a {kind.__name__}{known}, got {value!r}")
 
 
+def randomization(value: Any, kind: type) -> Any:
+    """What the option `randomize` means: None for False, the default for True, else what `instance` gives."""
+    if isinstance(value, bool | np.bool_):
+        return kind() if value else None
+    return instance("randomize", value, kind)
+
+
 def scalar(name: str, value: Any) -> float:
     try:
         return float(value)
@@ -109,10 +116,6 @@ def dock_config(
     base = config if config is not None else DockConfig()
     if not isinstance(base, DockConfig):
         raise ValueError(f"config must be a DockConfig, got {config!r}")
-    if isinstance(randomize, (bool, np.bool_)):
-        drawn = RandomizeConfig() if randomize else None
-    else:
-        drawn = instance("randomize", randomize, RandomizeConfig)
     pilot = instance("autopilot", autopilot, AutopilotConfig) if autopilot is not None else base.autopilot
     choose("command_frame", command_frame, ("world", "heading"))
     if command_frame != "world":
@@ -123,7 +126,7 @@ def dock_config(
         wind=instance("wind", wind, WindConfig, WIND_LEVELS),
         localization=choose("localization", localization, ("dock", "gps", "vision", "truth")),
         docked=bool(docked),
-        randomize=drawn,
+        randomize=randomization(randomize, RandomizeConfig),
         airframe=instance("airframe", airframe, AirframeConfig, AIRFRAMES),
         payload=scalar("payload", payload),
         velocity_limit=triple("velocity_limit", velocity_limit),
