@@ -82,6 +82,20 @@ def test_pose_from_a_box_in_a_frame_with_a_floor() -> None:
         assert empty.T_c_object is None and empty.score == 0.0
 
 
+def test_a_wrong_start_is_disproved_and_a_right_one_is_kept() -> None:
+    mesh, model = crawler()
+    floor = trimesh.creation.box((4.0, 4.0, 0.02), transform=transform(np.eye(3), [0, 0, -0.01]))
+    T = inverse(looking(np.array([0.8, 0.3, 0.8]), np.zeros(3)))
+    depth = noisy(cast(trimesh.util.concatenate([mesh, floor]), T), np.random.default_rng(2))
+    box = box_of(cast(mesh, T))
+    twin = T @ transform(so3_exp([0.0, 0.0, np.pi / 3.0]), np.zeros(3))  # looks nearly alike
+    for start, disproved in ((twin, True), (T, False), (None, False)):
+        found = pose_from_box(frame_of(depth), box, model, start)
+        assert found.T_c_object is not None and found.disproved == disproved
+        turn, distance = pose_error(found.T_c_object, T, SYMMETRIES)
+        assert turn < 3.0 and distance < 0.01
+
+
 def test_bad_input_is_named() -> None:
     points = np.random.default_rng(0).normal(size=(50, 3))
     normals = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -119,6 +119,16 @@ def test_the_crawler_seen_from_a_moving_camera_does_not_flip() -> None:
     assert flips(poses) == 0 and flips(alone) > 0
 
 
+def test_a_restarted_track_is_at_rest_in_the_nearest_symmetric_pose() -> None:
+    tracker = PoseTracker(SYMMETRIES)
+    track = tracker.update(tracker.start(np.eye(4), 0.0), transform(np.eye(3), [0.1, 0.0, 0.0]), 0.1)
+    T = transform(so3_exp([0.0, 0.0, 2.0 * np.pi / 3.0 + 1.0]), [1.0, 2.0, 3.0])
+    again = tracker.restart(track, T, 0.2)
+    np.testing.assert_allclose(again.T, transform(so3_exp([0.0, 0.0, 1.0]), [1.0, 2.0, 3.0]), atol=1e-12)
+    np.testing.assert_array_equal(again.twist, np.zeros(6))
+    assert again.accepted and again.stamp == 0.2
+
+
 def test_every_filter_makes_noisy_poses_better_and_they_agree() -> None:
     errors: dict[str, list[tuple[float, float]]] = {"ekf": [], "ukf": [], "particle": [], "measured": []}
     trackers = {
