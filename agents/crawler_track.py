@@ -108,16 +108,19 @@ def picture(flights: Flights) -> bytes:
     alone, ekf = flights.frames[source, "alone"], flights.frames[source, "ekf"]
     jumps = {key: count_jumps(np.array(track)) for key, track in _tracks(alone).items()}
     worst = max(jumps, key=lambda key: jumps[key], default=None)
-    for name, rows, color in (("each frame alone", alone, "#c0504d"), ("EKF", ekf, "#1f6fb4")):
+    start = np.eye(3)
+    for name, rows, color in (("EKF", ekf, "#1f6fb4"), ("each frame alone", alone, "#c0504d")):
         one = [row for row in rows if (row.flight, row.crawler) == worst]
-        poses = [np.full((4, 4), np.nan) if row.T_world_object is None else row.T_world_object for row in one]
-        heading = [np.degrees(np.arctan2(T[1, 0], T[0, 0])) for T in poses]
-        axes[3].plot([row.time for row in one], heading, ".-", color=color, lw=0.8)
+        poses = [(row.time, row.T_world_object[:3, :3]) for row in one if row.T_world_object is not None]
+        if name == "EKF" and poses:
+            start = poses[0][1]
+        turns = [np.degrees(np.arctan2(*(start.T @ R)[[1, 0], 0])) for _, R in poses]  # from the EKF's first pose
+        axes[3].plot([time for time, _ in poses], turns, ".-", color=color, lw=0.8, zorder=3 if name == "EKF" else 2)
         found = [row for row in rows if np.isfinite(row.position)]
         far = [row.distance for row in found]
         axes[4].semilogy(far, [1e3 * row.position for row in found], ".", color=color, ms=2, label=name)
         axes[5].semilogy(far, np.degrees([row.rotation for row in found]), ".", color=color, ms=2)
-    axes[3].set(xlabel="time [s]", ylabel="heading of the crawler's x axis [°]", title="most jumps of all")
+    axes[3].set(xlabel="time [s]", ylabel="crawler's turn about its z axis [°]", title="most jumps of all")
     for axis, limit, name in (
         (axes[4], 1e3 * POSITION, "position error [mm]"), (axes[5], np.degrees(ROTATION), "rotation error [°]"),
     ):  # fmt: skip
