@@ -85,6 +85,7 @@ def export_onnx(
         "step": trained["step"],
         "curve": trained["curve"],
         "provenance": trained["provenance"],
+        "initial": trained.get("initial"),  # what the weights that the training began with came from
         "figures": figures or {},
     }
     onnx.helper.set_model_props(model, {"card": json.dumps(card)})
