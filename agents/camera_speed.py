@@ -1,4 +1,4 @@
-"""`aerograsp bench aerograsp/Detect-v0 --speed`: what an RGB-D frame costs beside the bare cast and beside OpenGL.
+"""`aerograsp bench aerograsp/Detect-v0 --speed`: an RGB-D frame beside the bare cast and OpenGL; policies' frames/s.
 
 The scene has 40 geoms, two of them meshes of 5120 faces, and one light. A frame is colour with image textures and exact
 shadows, depth and segmentation. The bare cast is one call of `mujoco.mj_multiRay` with the same rays, without normals.
@@ -28,6 +28,7 @@ from aerograsp_env.sim.ray_kernel import pixel_rays
 from aerograsp_env.sim.rendering import make_renderer
 from aerograsp_env.sim.rgbd_camera import RGBDCameraConfig, SimulatedCamera
 from aerograsp_env.spatial import transform
+from agents import detect_speed
 from agents.arguments import Parser, add_json, guarded, positive_int
 from agents.files import write_json
 from agents.provenance import provenance
@@ -155,15 +156,25 @@ def main(argv: list[str]) -> int:
     """Print the table."""
     parser = Parser(prog="aerograsp bench aerograsp/Detect-v0 --speed", description=__doc__)
     parser.add_argument("--repeats", metavar="R", type=positive_int, default=21, help="of every measurement")
+    parser.add_argument("--flights", metavar="N", type=positive_int, default=3, help="of every policy and level")
     add_json(parser)
     args = parser.parse_args(argv)
     rows, fault = measure(args.repeats)
     if args.json != "-":
         print(table(rows, fault))
+    policies = [detect_speed.policy_speed(name, args.flights) for name in detect_speed.POLICIES]
+    if args.json != "-":
+        print("\n" + detect_speed.table(policies))
     if args.json:
         facts = provenance(" ".join([parser.prog, *argv]))
         write_json(
-            args.json, {"provenance": facts, "rows": [row._asdict() for row in rows], "opengl": fault or "works"}
+            args.json,
+            {
+                "provenance": facts,
+                "rows": [row._asdict() for row in rows],
+                "opengl": fault or "works",
+                "policies": [row._asdict() for row in policies],
+            },
         )
     return 0
 

@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 
 from agents.camera_speed import GEOMS, SIZES, Row, measure, scene, table
+from agents.detect_speed import policy_speed
+from agents.detect_speed import table as speeds
 
 
 def test_the_scene_has_forty_geoms_and_two_meshes_of_five_thousand_faces() -> None:
@@ -24,3 +26,10 @@ def test_each_size_is_measured_and_shown() -> None:
     text = table([Row(64, 1e-3, 2e-3, 3e-3, 2.0, None, None)], "no EGL")
     assert "64×64" in text and "2.00" in text and "no EGL" in text
     assert np.isfinite([row.noisy_seconds for row in rows]).all()
+
+
+def test_the_frames_of_a_policy_are_timed() -> None:
+    row = policy_speed("clusters+icp", flights=1, frames=2)
+    assert row.frames == 4 and 0.0 < row.mean_seconds and 0.0 < row.late_seconds
+    text = speeds([row._replace(mean_seconds=0.05, late_seconds=0.1)])
+    assert "50.0" in text and "100.0" in text and "20.0" in text and "clusters+icp" in text
