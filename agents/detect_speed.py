@@ -29,7 +29,8 @@ class PolicySpeed(NamedTuple):
 
 def policy_speed(name: str, flights: int, frames: int = 40) -> PolicySpeed:
     """A policy's frames on `flights` flights of each of `LEVELS`, after a flight to warm up."""
-    policy, seconds = load_policy(ID, name), []
+    policy = load_policy(ID, name)
+    seconds: list[float] = []
     for level in LEVELS:
         env = gymnasium.make(ID, level=level)
         try:
