@@ -33,5 +33,5 @@ def test_it_is_small_and_says_what_it_is(detector: OnnxDetector) -> None:
 def test_photographs_that_it_never_saw(detector: OnnxDetector) -> None:
     boxes = score_yolo17(detector, read_yolo17(DATA / "tools_yolo17"))
     top = score_aiml20(detector, read_aiml20(DATA / "tools_aiml20"))
-    assert boxes.overall.map50 > 0.15 and boxes.overall.objects == 194
-    assert top.rate > 0.5 and top.photographs == 65
+    assert boxes.overall.map50 >= 0.25 and boxes.overall.objects == 194
+    assert top.rate > 0.55 and top.photographs == 65
