@@ -29,11 +29,11 @@ from baselines.policies.detect_proposals import Proposal, find_proposals
 from baselines.policies.detect_rows import Observation, act_by_rows
 from baselines.policies.detect_tracks import FRAME, Odometry
 
-ALIGNED = 3
+ALIGNED = 2
 """Objects whose poses are measured in each frame: new ones first, then those that waited longest."""
-FOUND, REPORTED = 0.35, 0.55
-"""Least score of a detection that is followed, and of a track that is reported, over the detector's own threshold: what
-lasts from frame to frame needs less evidence in each."""
+FOUND = 0.35
+"""Least score of a detection that is followed, over the detector's own threshold, which a track's score must reach to be
+reported: what lasts from frame to frame needs less evidence in each."""
 KEEP = 0.8
 """Weight of a track's score so far in each new frame."""
 LEAST_IOU = 0.2
@@ -93,7 +93,7 @@ class CnnPolicy:
         frame = seen_frame(observation)
         tracks = self._follow(frame, () if before is None else before.tracks)
         tracks = self._measure(frame, tracks, T_start_camera, stamp)
-        least = REPORTED * self.detector.threshold
+        least = self.detector.threshold
         found = [detection for track in tracks if (detection := _report(track, T_start_camera, least)) is not None]
         return detections_to_action(found, frame.intrinsics), RowState(odometry, tracks, stamp)
 
