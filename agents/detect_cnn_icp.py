@@ -32,8 +32,8 @@ from baselines.policies.detect_tracks import FRAME, Odometry
 ALIGNED = 2
 """Objects whose poses are measured in each frame: new ones first, then those that waited longest."""
 FOUND = 0.35
-"""Least score of a detection that is followed, over the detector's own threshold. A track's score must reach all of that
-to be reported: what lasts from frame to frame needs less evidence in each."""
+"""Least score of a detection that is followed, over the detector's own threshold. A track's score must reach all
+of that to be reported: what lasts from frame to frame needs less evidence in each."""
 KEEP = 0.8
 """Weight of a track's score so far in each new frame."""
 LEAST_IOU = 0.2
