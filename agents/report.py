@@ -224,7 +224,8 @@ def paired(rows: Sequence[Row]) -> list[str]:
 def difference_head(column: Column) -> str:
     """What stands over differences of a column."""
     name, _, unit = column.head.partition(" [")
-    return f"{name}: difference [{'points' if unit == '%]' else unit.rstrip(']')}]"
+    unit = "points" if unit == "%]" else unit.rstrip("]")
+    return f"{name}: difference [{unit}]" if unit else f"{name}: difference"
 
 
 def _pairing_row(label: str, pair: Pairing, tested: bool) -> str:
